@@ -1,8 +1,10 @@
 """Photometric stereo: normals and albedo from photographs under different lights, in closed form
 for each pixel.
 
-For a matte surface under a distant light of direction l and irradiance E, the reading of a pixel is
+For a matte surface under a light of direction l and irradiance E, the reading of a pixel is
 m = E rho n.l, with n its unit normal and rho its albedo in the unit of the readings over that of E.
+Distant lights have the same l and E in all pixels. A near light of radiant intensity I at a
+distance d from the point of the surface has E = I / d^2.
 The reading is linear in the vector g = rho n. Therefore three lights determine g, and with more
 lights g is estimated by least squares (Woodham, Optical Engineering 19, 1980). Attached and cast
 shadows, clipped pixels and highlights are outliers of this model.
@@ -41,8 +43,10 @@ from .stereo_lights import (
     Readings,
     Rows,
     Vectors,
+    at_pixels,
     by_lights,
     common_departure,
+    directions_of,
     offset_in_shadow,
     predicted,
     solved,
@@ -149,6 +153,7 @@ def photometric_stereo(
     lights: ArrayLike,
     *,
     intensities: ArrayLike | None = None,
+    points: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     lowest: float = 0.0,
     highest: float = np.inf,
@@ -158,17 +163,23 @@ def photometric_stereo(
     viewer: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Stereo:
     """Estimate normals, albedo and their errors from photographs of one still view under distant
-    lights.
+    or near lights.
 
     Args:
         images: (lights, h, w) linear readings without black level, in any unit. NaN marks a missing
             reading; the other readings of the pixel are used.
-        lights: (lights, 3) unit vectors toward the lights, in any axes. A finding says if normals
-            belong to no surface with x right and y up in the image.
-        intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
-            None for 1.
-        covariance: (lights, 4, lights, 4) covariance of directions and logarithms of intensities,
-            as `fitting.lights.calibrate` returns it; None for exact lights.
+        lights: (lights, 3) unit vectors toward distant lights, in any axes, or positions of near
+            lights if `points` is given. A finding says if normals belong to no surface with x right
+            and y up in the image.
+        intensities: (lights,) irradiance on a surface that faces a distant light, W m^-2, or
+            radiant intensity of a near light, W sr^-1; both may be relative. None for 1.
+        points: (h, w, 3) position of the surface in each pixel, in the axes and the unit of
+            `lights`, such as the points of a plane or of a measured depth map. The irradiance of a
+            near light falls with the square of its distance to the point. NaN for pixels without
+            surface. The positions count as exact. None for distant lights.
+        covariance: (lights, 4, lights, 4) covariance of directions or positions, and of the
+            logarithms of intensities, as `fitting.lights.calibrate` returns it; None for exact
+            lights.
         lowest: readings at or below this number are left out as shadow, in the unit of the images.
             Readings that the other images predict to be less than three standard deviations above
             this number are also left out. The noise of dark readings is estimated from readings
@@ -221,7 +232,8 @@ def photometric_stereo(
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, shapes that do not agree, and
-            a `covariance` that is not finite, symmetric and positive semi-definite.
+            a `covariance` that is not finite, symmetric and positive semi-definite, and lights at
+            a point of the surface.
 
     Example:
         >>> import numpy as np
@@ -232,12 +244,11 @@ def photometric_stereo(
         >>> print(found.normals[0, 0].round(6) + 0.0, found.albedo[0, 0].round(6))
         [0. 0. 1.] 100.0
     """
-    stack, directions, irradiance = _checked(images, lights, intensities)
+    stack, rows, distances = _checked(images, lights, intensities, points)
     infinite = np.isinf(stack)
     missing = _infinite_finding(int(infinite.sum())) if infinite.any() else ()
     stack = np.where(infinite, np.nan, stack)
     labels, toward = _checked_materials(stack, model, materials, viewer)
-    rows = directions * irradiance[:, None]
     together = None if covariance is None else _common_errors(covariance, len(stack))
     readings = stack.reshape(len(stack), -1)
     clipped: tuple[str, ...] = ()
@@ -252,9 +263,7 @@ def photometric_stereo(
     surface, linear, tilt, remarks = None, rows, 0.0, ()
     if model != "lambert":
         start = solved(rows, readings, counts.astype(float))[0]
-        surface = fitted_surface(
-            model, directions, irradiance, readings, between, start, labels.ravel(), toward
-        )
+        surface = fitted_surface(model, rows, readings, between, start, labels.ravel(), toward)
         linear, tilt = surface.slopes, surface.tilt(rows)
         readings = readings - surface.extra
         counts = _counted(rows, readings, between, limits, robust=robust)
@@ -278,19 +287,19 @@ def photometric_stereo(
         agreeing = readings if common is None else common.removed(readings)
         counts = _counted(rows, agreeing, between, limits, robust=robust)
     shape, shaped = stack.shape, counts.reshape(stack.shape)
-    found = departures(rows, directions, (agreeing + tilt).reshape(shape), shaped, linear)
+    found = departures(rows, (agreeing + tilt).reshape(shape), shaped, linear)
     g, _ = solved(linear, readings + tilt, found.weights)
     covariance_of_g, rough = found.covariance, None
     if surface is not None:
         covariance_of_g = covariance_of_g + surface.covariance
         remarks = _materials_finding(model, surface)
     elif found.significant and np.median(counts.sum(axis=0)[np.isfinite(g[:, 0])]) < SHOWN_BY:
-        rough = _rough_body(directions, irradiance, readings, shaped, found, toward)
+        rough = _rough_body(rows, readings, shaped, found, toward)
     if rough is not None and (common is None or common.explained < rough.explained):
         covariance_of_g, common = rough.covariance, None
     if common is not None:
         covariance_of_g = departures(
-            rows, directions, (readings + tilt).reshape(shape), shaped, linear
+            rows, (readings + tilt).reshape(shape), shaped, linear
         ).covariance
         moved = solved(linear, agreeing + tilt, found.weights)[0] - g
         covariance_of_g = covariance_of_g + moved[:, :, None] * moved[:, None, :]
@@ -298,7 +307,7 @@ def photometric_stereo(
         rough = None
     if together is not None:
         covariance_of_g = covariance_of_g + by_lights(
-            rows, irradiance, found.weights, found.inverse, g, together
+            rows, found.weights, found.inverse, g, together, distances
         )
     albedo = np.linalg.norm(g, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -316,7 +325,7 @@ def photometric_stereo(
     exact = seen & np.isnan(normal_sd)
     if exact.sum() > seen.sum() / 2:
         findings += (_exact_finding(exact.sum() / seen.sum()),)
-    repeated = seen & ~exact & (_distinct(directions, counts) == 3)
+    repeated = seen & ~exact & (_distinct(rows, counts) == 3)
     if repeated.sum() > seen.sum() / 2:
         findings += (_repeated_finding(repeated.sum() / seen.sum()),)
     normals = normals.reshape(*shape[1:], 3)
@@ -359,8 +368,7 @@ class _Rough:
 
 
 def _rough_body(
-    directions: Rows,
-    irradiance: Float[np.ndarray, " lights"],
+    rows: Rows,
     readings: Readings,
     counts: Bool[np.ndarray, "lights h w"],
     found: Departures,
@@ -372,14 +380,14 @@ def _rough_body(
     roughness explains all of them.
     """
     weights = found.weights
-    rows, flat = directions * irradiance[:, None], counts.reshape(len(readings), -1)
+    flat = counts.reshape(len(readings), -1)
     g = solved(rows, readings, weights)[0]
     plain = np.where(flat, readings - predicted(rows, g), 0)
     lit = np.flatnonzero(np.isfinite(g[:, 0]) & (flat.sum(axis=0) > 3))
     labels = np.full(len(g), -1)
     labels[lit[:: -(-len(lit) // FITTED)]] = 0
     for part in (labels, np.where(np.isin(np.arange(len(g)), lit), 0, -1)):
-        body = fitted_surface("oren-nayar", directions, irradiance, readings, flat, g, part, viewer)
+        body = fitted_surface("oren-nayar", rows, readings, flat, g, part, viewer)
         if not body.numbers:
             return None
         bent = readings - body.extra + body.tilt(rows)
@@ -389,7 +397,7 @@ def _rough_body(
         explained = 1 - float((left[:, some] ** 2).sum() / (plain[:, some] ** 2).sum())
         if explained < EXPLAINED:
             return None
-    after = departures(rows, directions, bent.reshape(counts.shape), counts, body.slopes)
+    after = departures(rows, bent.reshape(counts.shape), counts, body.slopes)
     own_covariance = (found if after.significant else after).covariance
     moved = np.where(some[:, None], own - g, 0)
     (sigma, sd) = (float(x[0]) for x in body.numbers[0])
@@ -412,8 +420,9 @@ def _exact_finding(share: float) -> str:
     )
 
 
-def _distinct(directions: Rows, counts: Counted) -> Int[np.ndarray, " pixels"]:
+def _distinct(rows: Rows, counts: Counted) -> Int[np.ndarray, " pixels"]:
     """Return the number of distinct directions among the lights that each pixel uses."""
+    directions = directions_of(rows)
     alike = np.linalg.norm(directions[:, None] - directions, axis=-1) < SAME
     first = np.unique(np.argmax(alike, axis=1), return_inverse=True)[1]
     return np.sum([counts[first == one].any(axis=0) for one in range(first.max() + 1)], axis=0)
@@ -541,7 +550,7 @@ def _contradiction_finding(
     counts = _counted(rows, readings, between, limits, robust=False)
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     counts &= np.isfinite(g[:, 0])
-    residuals = np.where(counts, readings - rows @ g.T, 0)
+    residuals = np.where(counts, readings - predicted(rows, g), 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.sqrt(_scatter(rows, readings, counts, g, used)) / np.linalg.norm(g, axis=1)
     lit = size[np.isfinite(size)]
@@ -615,9 +624,9 @@ def _contradicted_images(
     expected = _between(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
     total = np.maximum(expected.sum(axis=1), 1)
     share = (expected & ~counts).sum(axis=1) / total
-    miss = np.where(expected, np.abs(readings - rows @ g.T), np.nan)
+    miss = np.where(expected, np.abs(readings - predicted(rows, g)), np.nan)
     size = np.array([np.median(m[~np.isnan(m)]) if (~np.isnan(m)).any() else 0.0 for m in miss])
-    size /= np.linalg.norm(rows, axis=1)
+    size /= np.linalg.norm(rows, axis=-1).reshape(len(rows), -1).mean(axis=1)
     apart = (share > CONTRADICTED) & (size > APART * np.median(size)) & (total >= FEWEST)
     if not apart.any() or np.median(share) > USUAL or apart.sum() > len(rows) - 4:
         return np.zeros(len(rows), bool), ()
@@ -635,27 +644,62 @@ def _typical(g: Vectors) -> float:
 
 
 def _checked(
-    images: ArrayLike, lights: ArrayLike, intensities: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    images: ArrayLike,
+    lights: ArrayLike,
+    intensities: ArrayLike | None,
+    points: ArrayLike | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return the images, E l of each light, and the distances (lights, pixels) of near lights.
+    Readings of pixels without a point are missing.
+    """
     stack = np.asarray(plain_numbers("images", images), float)
-    directions = np.asarray(plain_numbers("lights", lights), float)
-    if stack.ndim != 3 or directions.shape != (len(stack), 3):
+    places = np.asarray(plain_numbers("lights", lights), float)
+    if stack.ndim != 3 or places.shape != (len(stack), 3):
         raise InputError(
             f"images (lights, h, w) and lights (lights, 3) do not agree: got {stack.shape} and "
-            f"{directions.shape}; give one direction an image, and one channel at a time."
+            f"{places.shape}; give one direction an image, and one channel at a time."
         )
-    irradiance = np.ones(len(stack))
+    strengths = np.ones(len(stack))
     if intensities is not None:
-        irradiance = np.asarray(plain_numbers("intensities", intensities), float)
-    if irradiance.shape != (len(stack),) or not ((irradiance > 0) & (irradiance < np.inf)).all():
-        raise InputError(f"intensities must be {len(stack)} numbers above 0, got {irradiance}.")
-    lengths = np.linalg.norm(directions, axis=1)
-    if not np.allclose(lengths, 1, atol=1e-3):
-        raise InputError(f"lights must be unit vectors, got lengths {lengths.round(4)}.")
-    strengths = np.linalg.svd(directions, compute_uv=False)
-    if len(stack) < 3 or strengths[2] < FLAT * strengths[0]:
+        strengths = np.asarray(plain_numbers("intensities", intensities), float)
+    if strengths.shape != (len(stack),) or not ((strengths > 0) & (strengths < np.inf)).all():
+        raise InputError(f"intensities must be {len(stack)} numbers above 0, got {strengths}.")
+    if points is None:
+        lengths = np.linalg.norm(places, axis=1)
+        if not np.allclose(lengths, 1, atol=1e-3):
+            raise InputError(
+                f"lights must be unit vectors, got lengths {lengths.round(4)}; for positions of "
+                "near lights, also give points."
+            )
+        rows, distances = places * strengths[:, None], None
+    else:
+        stack, toward, distances = _near(stack, places, points)
+        rows = toward * (strengths[:, None] / distances**3)[:, :, None]
+    sizes = np.linalg.svd(directions_of(rows), compute_uv=False)
+    if len(stack) < 3 or sizes[2] < FLAT * sizes[0]:
         raise InputError("normals need three lights that do not lie in one plane; add a light.")
-    return stack, directions, irradiance
+    return stack, rows, distances
+
+
+def _near(
+    stack: Images, places: Float[np.ndarray, "lights 3"], points: ArrayLike
+) -> tuple[Images, np.ndarray, np.ndarray]:
+    """Return the images, and the vectors and distances from each point to each light."""
+    surface = np.asarray(plain_numbers("points", points), float)
+    if surface.shape != (*stack.shape[1:], 3):
+        raise InputError(
+            f"points must be {(*stack.shape[1:], 3)}, a position (x, y, z) a pixel, got "
+            f"{surface.shape}."
+        )
+    surface = surface.reshape(-1, 3)
+    known = np.isfinite(surface).all(axis=1)
+    if not known.any():
+        raise InputError("points are not finite in any pixel; give the position of the surface.")
+    toward = places[:, None] - np.where(known[:, None], surface, surface[known].mean(axis=0))
+    distances = np.linalg.norm(toward, axis=-1)
+    if not (distances > 0).all():  # also where a light is NaN
+        raise InputError("lights must be finite positions away from all points of the surface.")
+    return np.where(known.reshape(stack.shape[1:]), stack, np.nan), toward, distances
 
 
 def _checked_materials(
@@ -702,15 +746,15 @@ def _scatter(
     rows: Rows, readings: Readings, near: Counted, g: Vectors, used: Int[np.ndarray, " pixels"]
 ) -> OfPixels:
     """Return the variance of a reading about its prediction from g; NaN without residuals."""
-    residuals = np.where(near, readings - rows @ g.T, 0)
+    residuals = np.where(near, readings - predicted(rows, g), 0)
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
 
 def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: Limits) -> Counted:
     """Return a mask of the readings that a fit predicts to lie between both limits with a margin of
     several standard deviations."""
-    predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
-    return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
+    expected, margin = predicted(rows, g), CLEAR * np.sqrt(np.nan_to_num(scatter))
+    return (expected - margin > limits[0]) & (expected + margin < limits[1])
 
 
 def _counted(
@@ -726,15 +770,16 @@ def _counted(
     moving = np.arange(readings.shape[1])
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
-        g, _ = solved(rows, own, own_near.astype(float))
-        lit = ~(rows @ g.T <= limits[0] + CLEAR * limits[2])
+        own_rows = at_pixels(rows, moving)
+        g, _ = solved(own_rows, own, own_near.astype(float))
+        lit = ~(predicted(own_rows, g) <= limits[0] + CLEAR * limits[2])
         chosen = own_near & lit
-        for spread in (0 * own[0], _usual_residual(rows, own, own_near, g)):
-            narrower = own_between & lit & _between(rows, g, spread**2, limits)
-            known = np.isfinite(solved(rows, own, narrower.astype(float))[1][:, 0, 0])
+        for spread in (0 * own[0], _usual_residual(own_rows, own, own_near, g)):
+            narrower = own_between & lit & _between(own_rows, g, spread**2, limits)
+            known = np.isfinite(solved(own_rows, own, narrower.astype(float))[1][:, 0, 0])
             chosen = np.where(known, narrower, chosen)
         if robust:
-            chosen = _consistent(rows, own, chosen)
+            chosen = _consistent(own_rows, own, chosen)
         changed = (chosen != own_near).any(axis=0)
         near[:, moving] = chosen
         moving = moving[changed]
@@ -766,7 +811,7 @@ def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -
     which shadowed readings do not increase; 0 without residuals.
     """
     used = near.sum(axis=0)
-    ordered = np.sort(np.where(near, np.abs(readings - rows @ g.T), np.inf), axis=0)
+    ordered = np.sort(np.where(near, np.abs(readings - predicted(rows, g)), np.inf), axis=0)
     middle = np.take_along_axis(ordered, np.maximum(used - 1, 0)[None] // 2, axis=0)[0]
     middle = np.where((used > 3) & np.isfinite(middle), middle, 0)
     return NORMAL_MAD * middle * np.sqrt(used / np.maximum(used - 3, 1))
@@ -781,7 +826,7 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
     residuals = np.zeros_like(readings)
     for _ in range(ROUNDS):
         g, _ = solved(rows, readings, weights)
-        residuals = np.where(counts, np.abs(readings - rows @ g.T), np.nan)
+        residuals = np.where(counts, np.abs(readings - predicted(rows, g)), np.nan)
         weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
         weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))
     scale = NORMAL_MAD * _median(residuals, used)
@@ -806,16 +851,18 @@ def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) ->
     if not some.size:
         return found
     own, own_near, own_apart = readings[:, some], near[:, some], apart[:, some]
+    rows = at_pixels(rows, some)
     g, covariance, used = _least_squares(rows, own, own_near.astype(float))
     several = own_apart.sum(axis=0)
     share = used / (used + several)
     cut = ndtri((1 + share) / 2)
     narrower = 1 - 2 * cut * np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / share
     scatter = _scatter(rows, own, own_near, g, used)
-    variance = scatter + np.einsum("ki,pij,kj->kp", rows, covariance, rows)
+    spelled = "ki,pij,kj->kp" if rows.ndim == 2 else "kpi,pij,kpj->kp"
+    variance = scatter + np.einsum(spelled, rows, covariance, rows)
     error = np.sqrt(variance / narrower)
     limit = stdtrit(used - 3.0, 1 - CHANCE / 2 / (used + several))
-    found[:, some] = own_apart & (np.abs(own - rows @ g.T) < limit * error)
+    found[:, some] = own_apart & (np.abs(own - predicted(rows, g)) < limit * error)
     return found
 
 

@@ -30,7 +30,8 @@ DETERMINED = 10.0  # ratio to the part of the information on a factor that noise
 WIDEST = 10.0  # largest factor of a light; beyond it, the direction is wrong or the light off
 AT_ONCE, ROUNDED = 500, 1e-12  # pixels computed together; of the largest variance: rounding
 EXPLAINED = 0.5  # least share of the residuals' squares that must be explained
-Rows = Float[np.ndarray, "lights 3"]
+# E l: of each light, or of each light and pixel, with near lights or a model linearised at g
+Rows = Float[np.ndarray, "lights 3"] | Float[np.ndarray, "lights pixels 3"]
 Readings = Float[np.ndarray, "lights pixels"]
 Counted = Bool[np.ndarray, "lights pixels"]
 Vectors = Float[np.ndarray, "pixels 3"]
@@ -56,16 +57,29 @@ class Common:
         return (readings - self.offset) / self.factors[:, None]
 
 
-def predicted(rows: np.ndarray, g: Vectors) -> Readings:
-    """Return the readings that a linear model predicts. The rows of the model are (lights, 3), or
-    (lights, pixels, 3) if the rows differ between pixels.
-    """
+def strengths_of(rows: Rows) -> Float[np.ndarray, "lights pixels"]:
+    """Return the irradiance on surfaces that face the light; one column for distant lights."""
+    return np.linalg.norm(rows, axis=-1).reshape(len(rows), -1)
+
+
+def directions_of(rows: Rows) -> Float[np.ndarray, "lights 3"]:
+    """Return the unit directions of the lights, for near lights their mean over the pixels."""
+    toward = rows / np.linalg.norm(rows, axis=-1, keepdims=True)
+    toward = toward.reshape(len(rows), -1, 3).mean(axis=1)
+    return toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+
+
+def at_pixels(rows: np.ndarray, some: np.ndarray | slice) -> np.ndarray:
+    """Return the rows of some pixels."""
+    return rows if rows.ndim == 2 else rows[:, some]
+
+
+def predicted(rows: Rows, g: Vectors) -> Readings:
+    """Return the readings that a linear model predicts."""
     return rows @ g.T if rows.ndim == 2 else np.einsum("lpi,pi->lp", rows, g)
 
 
-def solved(
-    rows: np.ndarray, readings: Readings, weights: Readings
-) -> tuple[np.ndarray, np.ndarray]:
+def solved(rows: Rows, readings: Readings, weights: Readings) -> tuple[np.ndarray, np.ndarray]:
     """Solve the weighted least squares of each pixel, and return g and the inverse of the normal
     matrix.
     """
@@ -73,7 +87,8 @@ def solved(
         products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
         matrix = (weights.T @ products).reshape(-1, 3, 3)
     else:
-        matrix = np.einsum("lp,lpi,lpj->pij", weights, rows, rows)
+        by_pixel = np.swapaxes(rows, 0, 1)
+        matrix = np.swapaxes(by_pixel * weights.T[:, :, None], 1, 2) @ by_pixel
     sizes = np.linalg.eigvalsh(matrix)
     regular = sizes[:, 0] > FLAT**2 * sizes[:, 2]
     inverse = np.full_like(matrix, np.nan)
@@ -85,15 +100,17 @@ def solved(
 
 def by_lights(
     rows: Rows,
-    irradiance: OfLights,
     weights: Readings,
     inverse: Matrices,
     g: Vectors,
     covariance: Float[np.ndarray, "lights 4 lights 4"],
+    distances: Float[np.ndarray, "lights pixels"] | None = None,
 ) -> Matrices:
     """Return the covariance of g from errors of the lights' directions and logarithms of
     intensities. With the weights w of the readings, the normal matrix M, the irradiance E, the
     light direction l and r = E l, the change of g is dg = -M^-1 sum w r (E dl.g + r.g d ln E).
+    With near lights, a change ds of a position at the distance d changes r.g by
+    E (g - 3 l l.g).ds / d.
     """
     flat = covariance.reshape(4 * len(rows), -1)
     sizes, axes = np.linalg.eigh(flat)
@@ -102,9 +119,15 @@ def by_lights(
     found = np.empty_like(inverse)
     for start in range(0, len(g), AT_ONCE):
         part = slice(start, start + AT_ONCE)
-        pull = np.einsum("pij,kj,kp->pki", inverse[part], rows, weights[:, part])
-        read = np.einsum("k,pc,kcr->pkr", irradiance, g[part], root[:, :3])
-        read += np.einsum("pk,kr->pkr", g[part] @ rows.T, root[:, 3])
+        own, seen = at_pixels(rows, part), predicted(at_pixels(rows, part), g[part])
+        own = np.broadcast_to(own if own.ndim == 3 else own[:, None], (*seen.shape, 3))
+        pull = np.einsum("pij,kpj,kp->pki", inverse[part], own, weights[:, part])
+        strength = np.linalg.norm(own, axis=-1, keepdims=True)
+        slope = strength * g[part]
+        if distances is not None:
+            slope = (slope - 3 * own / strength * seen[:, :, None]) / distances[:, part, None]
+        read = np.einsum("kpc,kcr->pkr", slope, root[:, :3])
+        read += np.einsum("kp,kr->pkr", seen, root[:, 3])
         moved = np.swapaxes(pull, 1, 2) @ read
         found[part] = moved @ np.swapaxes(moved, 1, 2)
     return found
@@ -119,6 +142,7 @@ def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common 
         return None
     some = some[:: -(-len(some) // MOST)]
     own, counted = readings[:, some], counts[:, some]
+    rows = at_pixels(rows, some)
     found = [_fitted(rows, own, counted, by_offset=by) for by in (True, False)]
     found = [one for one in found if one is not None and one.explained > EXPLAINED]
     return max(found, key=lambda one: one.explained, default=None)
@@ -128,9 +152,9 @@ def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common 
     """Return an offset of all readings, estimated from pixels that face away from a light and
     should therefore read 0."""
     some = _bright(readings, counts)
-    own = readings[:, some]
+    own, rows = readings[:, some], at_pixels(rows, some)
     g, _ = solved(rows, own, counts[:, some].astype(float))
-    shades = rows @ g.T / np.linalg.norm(rows, axis=1)[:, None] / np.linalg.norm(g, axis=1)
+    shades = predicted(rows, g) / strengths_of(rows) / np.linalg.norm(g, axis=1)
     unlit = (shades < -UNLIT) & ~np.isnan(own)
     parts = [own[:, part][unlit[:, part]] for part in np.array_split(np.arange(some.size), PARTS)]
     if min(part.size for part in parts) < FEWEST // PARTS:
@@ -160,21 +184,22 @@ def _fitted(
     factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
     normals, rights, residuals = np.zeros((3, 0))
     for _ in range(ROUNDS):
-        scaled, moved = rows * factors[:, None], readings - offset
+        scaled, moved = (rows.T * factors).T, readings - offset
         g, inverse = solved(scaled, moved, weights)
         known = np.isfinite(g[:, 0])
         if not known.any():
             return None
-        counts, weights, predicted = counts & known, weights * known, np.nan_to_num(scaled @ g.T)
+        counts, weights = counts & known, weights * known
+        fitted = np.nan_to_num(predicted(scaled, g))
         inverse[~known] = 0
-        residuals = np.where(counts, moved - predicted, 0)
-        normals, rights = _normal_parts(scaled, weights, inverse, predicted, residuals, by_offset)
+        residuals = np.where(counts, moved - fitted, 0)
+        normals, rights = _normal_parts(scaled, weights, inverse, fitted, residuals, by_offset)
         step = np.linalg.pinv(normals.sum(axis=0), rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
         if by_offset:
-            if not predicted.any():
+            if not fitted.any():
                 return None
             offset += float(step[0])
-            size = abs(float(step[0])) / float(np.abs(predicted).max())
+            size = abs(float(step[0])) / float(np.abs(fitted).max())
         else:
             factors = factors * np.exp(np.clip(step, -1, 1))
             size = float(np.abs(step).max())
@@ -182,7 +207,8 @@ def _fitted(
             break
         spread = NORMAL_MAD * float(np.median(np.abs(residuals[counts])))
         weights = counts / (1 + (residuals / max(TAIL * spread, 1e-300)) ** 2)
-    plain = np.where(weights > 0, readings - rows @ solved(rows, readings, weights)[0].T, 0)
+    alone = predicted(rows, solved(rows, readings, weights)[0])
+    plain = np.where(weights > 0, readings - alone, 0)
     least, most = (float((weights * r**2).sum()) for r in (residuals, plain))
     noise = least * readings.shape[1] / max(int((counts.sum(axis=0) - 3).sum()), 1)
     normal = normals.sum(axis=0)
@@ -209,24 +235,25 @@ def _normal_parts(
     rows: np.ndarray,
     weights: np.ndarray,
     inverse: np.ndarray,
-    predicted: np.ndarray,
+    fitted: np.ndarray,
     residuals: np.ndarray,
     by_offset: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal matrices and right sides of the common errors for each part of the image,
     with g eliminated.
     """
-    change = weights if by_offset else weights * predicted
+    change = weights if by_offset else weights * fitted
     right = change * residuals
-    normals, rights = [], []
-    for part in np.array_split(np.arange(predicted.shape[1]), PARTS):
+    normals, rights, letters = [], [], "li" if rows.ndim == 2 else "lpi"
+    for part in np.array_split(np.arange(fitted.shape[1]), PARTS):
+        own_rows = at_pixels(rows, part)
         if by_offset:
-            across = (rows.T @ change[:, part]).T[:, None]
+            across = np.einsum(f"{letters},lp->pi", own_rows, change[:, part])[:, None]
             own = change[:, part].sum()[None, None]
             rights.append(right[:, part].sum()[None])
         else:
-            across = change[:, part].T[:, :, None] * rows
-            own = np.diag((change * predicted)[:, part].sum(axis=1))
+            across = np.einsum(f"{letters},lp->pli", own_rows, change[:, part])
+            own = np.diag((change * fitted)[:, part].sum(axis=1))
             rights.append(right[:, part].sum(axis=1))
         lost = np.tensordot(across @ inverse[part], across, axes=([0, 2], [0, 2]))
         normals.append(own - lost)

@@ -40,7 +40,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln
 
-from .stereo_lights import Images, Matrices, OfPixels, Readings, Rows, predicted, solved
+from .stereo_lights import (
+    Images,
+    Matrices,
+    OfPixels,
+    Readings,
+    Rows,
+    directions_of,
+    predicted,
+    solved,
+    strengths_of,
+)
 
 REACH = 0.8  # w: scale on which n.l and the shading of rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
@@ -99,13 +109,12 @@ class _Reduced:
 
 def departures(
     rows: Rows,
-    directions: Rows,
     readings: Images,
     counts: Bool[np.ndarray, "lights h w"],
-    linear: np.ndarray,
+    linear: Rows,
 ) -> Departures:
-    """Compute the covariance of g, including departures from a linear model with the given slopes.
-    The slopes are (lights, 3), equal to `rows` for Lambert's law, or (lights, pixels, 3).
+    """Compute the covariance of g, including departures from a linear model with the given slopes,
+    which are equal to `rows` for Lambert's law.
     """
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
@@ -118,7 +127,7 @@ def departures(
         return Departures(
             counted.astype(float), inverse, covariance, noise, size, significant=False
         )
-    features = _features(directions) * np.linalg.norm(rows, axis=1)[:, None]
+    features, strengths = _features(directions_of(rows)), strengths_of(rows)
     expected = np.maximum(np.nan_to_num(predicted(linear, g)), 0)
     typical = float(np.median(expected[counted & known])) or 1.0
 
@@ -130,17 +139,16 @@ def departures(
     voting = counts & voters.reshape(counts.shape[1:])
     some, fits = np.flatnonzero(voters), []
     some = some[:: -(-len(some) // MOST)]
-    strength = (rows**2).sum(axis=1)[:, None]
-    squares = [(expected / typical) ** 2] + [strength / np.median(strength)] * bool(
-        np.ptp(strength)
-    )
+    squares = [(expected / typical) ** 2]
+    squares += [strengths**2 / np.median(strengths**2)] * bool(np.ptp(strengths))
     growths = [(share, expected / typical) for share in OF_PHOTONS]
     growths += [(share, square) for square in squares for share in OF_LAMPS]
     for share, growth in growths:
         weights = counted / (1 - share + share * growth)
         g, inverse = solved(linear, flat, weights)
         of = _Fit(
-            linear, features, np.where(counted, flat - predicted(linear, g), 0), weights, inverse
+            *(linear, features, strengths, np.where(counted, flat - predicted(linear, g), 0)),
+            *(weights, inverse),
         )
         scaled = of.residuals * np.sqrt(weights)
         shared = shared_squares(scaled.reshape(readings.shape), voting)
@@ -171,8 +179,10 @@ def departures(
 class _Fit:
     """The weighted least-squares fit of all pixels."""
 
-    rows: np.ndarray  # E l, or (lights, pixels, 3) slopes of a model
-    features: Float[np.ndarray, "lights features"]  # of the departures, times E
+    rows: Rows
+    features: Float[np.ndarray, "lights features"]  # of the departures
+    # irradiance on a surface that faces the light; 1 column if all pixels have the same
+    strengths: Float[np.ndarray, "lights pixels"]
     residuals: Readings  # (lights, pixels); 0 for unused readings
     weights: Readings
     inverse: Matrices  # inverse of the normal matrices
@@ -187,12 +197,13 @@ class _Fit:
             self.inverse[some],
         )
         count = self.features.shape[1]
+        strengths = np.broadcast_to(self.strengths, self.weights.shape)[:, some]
         if self.rows.ndim == 2:
-            both = np.concatenate([self.features, self.rows], axis=1)
+            both = np.concatenate([self.features * self.strengths, self.rows], axis=1)
             products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
             table = (weights.T @ products).reshape(-1, count + 3, count + 3)
         else:
-            alike = np.repeat(self.features[:, None], len(some), axis=1)
+            alike = self.features[:, None] * strengths[:, :, None]
             both = np.concatenate([alike, self.rows[:, some]], axis=2)
             table = np.einsum("lp,lpi,lpj->pij", weights, both, both, optimize=True)
         across = table[:, count:, :count]
@@ -200,7 +211,9 @@ class _Fit:
         left = table[:, :count, :count] - np.swapaxes(across, 1, 2) @ turning
         values, vectors = np.linalg.eigh(left)
         known = values > WHOLE * np.maximum(values[:, -1:], 1e-300)
-        along = np.einsum("pf,pfe->pe", (weights * residuals).T @ self.features, vectors)
+        along = np.einsum(
+            "pf,pfe->pe", (weights * strengths * residuals).T @ self.features, vectors
+        )
         squares = np.where(known, along**2 / np.where(known, values, 1), 0)
         rest = np.maximum((weights * residuals**2).sum(axis=0) - squares.sum(axis=1), 0)
         counts = weights > 0

@@ -25,7 +25,18 @@ from jaxvision.brdf import reflect
 from ..inference.precision import double_precision
 from .models import REFLECTANCES, has_lobe, log_range
 from .names import INDEX, Model
-from .stereo_lights import NORMAL_MAD, TAIL, Counted, Matrices, Readings, Rows, Vectors, predicted
+from .stereo_lights import (
+    NORMAL_MAD,
+    TAIL,
+    Counted,
+    Matrices,
+    Readings,
+    Rows,
+    Vectors,
+    at_pixels,
+    predicted,
+    strengths_of,
+)
 
 AT_ONCE = 512  # pixels computed together, and most pixels that estimate a material
 STEPS, SHARED_STEPS, FIRST = 20, 25, 6  # steps for a pixel, a material, a start
@@ -70,7 +81,7 @@ def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Ar
     def both(g: Array, light: Array) -> tuple[Array, tuple[Array, Array]]:
         return reading(g, shared, light), jax.jacfwd(reading, (0, 1))(g, shared, light)
 
-    return jax.vmap(jax.vmap(both, (None, 0)), (0, None))(g, lights)
+    return jax.vmap(jax.vmap(both, (None, 0)))(g, lights)
 
 
 @dataclass(frozen=True)
@@ -78,8 +89,7 @@ class _Pixels:
     """The readings of pixels of one material, with the lights and the viewer."""
 
     model: Model
-    lights: Rows  # unit
-    irradiance: Float[np.ndarray, " lights"]
+    rows: Rows
     viewer: Float[np.ndarray, "3"]
     readings: Readings
     counts: Counted
@@ -88,16 +98,20 @@ class _Pixels:
         """Return the residuals (pixels, lights), 0 for unused readings, and the derivatives of the
         model.
         """
-        found = []
+        found, strengths = [], strengths_of(self.rows)
+        lights = np.swapaxes(self.rows.reshape(*strengths.shape, 3) / strengths[..., None], 0, 1)
         for start in range(0, len(g), AT_ONCE):
-            part = g[start : start + AT_ONCE]
-            padded = np.concatenate([part, np.ones((AT_ONCE - len(part), 3))])
-            value, slopes = _linearised(self.model, padded, shared, self.lights, self.viewer)
-            found.append([np.asarray(x)[: len(part)] for x in (value, *slopes)])
+            part = slice(start, start + AT_ONCE)
+            own = lights[part] if len(lights) > 1 else lights
+            some = len(g[part])
+            padded = np.resize(g[part], (AT_ONCE, 3))
+            own = np.resize(own, (AT_ONCE, *lights.shape[1:]))
+            value, slopes = _linearised(self.model, padded, shared, own, self.viewer)
+            found.append([np.asarray(x)[:some] for x in (value, *slopes)])
         value, by_g, by_shared = (np.concatenate(x) for x in zip(*found, strict=True))
-        scale = self.irradiance[:, None]
-        residuals = np.where(self.counts.T, self.readings.T - self.irradiance * value, 0)
-        return residuals, by_g * scale, by_shared * scale
+        scale = strengths.T
+        residuals = np.where(self.counts.T, self.readings.T - scale * value, 0)
+        return residuals, by_g * scale[..., None], by_shared * scale[..., None]
 
     def weights(self, residuals: np.ndarray, scale: float) -> np.ndarray:
         """Return Cauchy's weights, 0 for unused readings."""
@@ -177,8 +191,7 @@ class _Pixels:
 @double_precision
 def fitted_surface(
     model: Model,
-    lights: Rows,
-    irradiance: Float[np.ndarray, " lights"],
+    rows: Rows,
     readings: Readings,
     counts: Counted,
     start: Vectors,
@@ -186,8 +199,8 @@ def fitted_surface(
     viewer: Float[np.ndarray, "3"],
 ) -> Surface:
     """Fit the model to each material, starting from the normals by Lambert's law."""
-    rows = lights * irradiance[:, None]
-    extra, slopes = np.zeros_like(readings), np.repeat(rows[:, None], len(start), axis=1)
+    slopes = rows.copy() if rows.ndim == 3 else np.repeat(rows[:, None], len(start), axis=1)
+    extra = np.zeros_like(readings)
     g, covariance, numbers = start.copy(), np.zeros((len(start), 3, 3)), {}
     usable = np.isfinite(start).all(axis=1) & (start @ viewer > 0) & (counts.sum(axis=0) > 3)
     for label in np.unique(labels[usable & (labels >= 0)]):
@@ -196,7 +209,8 @@ def fitted_surface(
 
         def pixels(places: np.ndarray) -> _Pixels:
             values = np.nan_to_num(readings[:, places])
-            return _Pixels(model, lights, irradiance, viewer, values, counts[:, places])
+            own_rows = at_pixels(rows, places)
+            return _Pixels(model, own_rows, viewer, values, counts[:, places])
 
         best = _material(pixels(some), start[some])
         scale = best[1]
@@ -209,7 +223,7 @@ def fitted_surface(
         moved = there.reduced(g[own], shared, scale)[2]
         covariance[own] = moved @ of_shared @ np.swapaxes(moved, 1, 2)
         residuals, by_g, _ = there.at(g[own], shared)
-        extra[:, own] = (there.readings.T - residuals - g[own] @ rows.T).T
+        extra[:, own] = there.readings - residuals.T - predicted(there.rows, g[own])
         slopes[:, own] = np.swapaxes(by_g, 0, 1)
         values = np.exp(shared)
         numbers[int(label)] = values, values * np.sqrt(np.diag(of_shared))
@@ -221,8 +235,7 @@ def _material(pixels: _Pixels, start: Vectors) -> tuple[np.ndarray, float, Vecto
     pixels.
     """
     low, high = log_range(pixels.model)
-    rows = pixels.lights * pixels.irradiance[:, None]
-    residuals = np.where(pixels.counts.T, pixels.readings.T - start @ rows.T, 0)
+    residuals = np.where(pixels.counts, pixels.readings - predicted(pixels.rows, start), 0).T
     scale = max(NORMAL_MAD * float(np.median(np.abs(residuals[pixels.counts.T]))), 1e-9)
     starts = []
     for place in STARTS:

@@ -41,7 +41,8 @@ class MatteErrors(Shown):
         alpha: (h, w, 1) in [0, 1], no unit.
         alpha_sd: (h, w, 1) standard deviation, no unit.
         draws: (draws, h, w, 1) draws of the coverage, in [0, 1]. If each draw is processed further,
-        as by `over`, the scatter of the results is their error.
+            as by `over`, the root mean square of the differences from the result of `alpha` is its
+            error.
     """
 
     alpha: Float[Array, "h w 1"]
@@ -100,7 +101,9 @@ def matte_errors(
     alpha = closed_form_matte(image, trimap, epsilon=epsilon, confidence=confidence).alpha
     off = _draw_picture(jax.random.split(key, draws), image, trimap, alpha, epsilon, confidence)
     sd = jnp.sqrt(jnp.mean(off * off, axis=0))
-    return MatteErrors(alpha, sd, jnp.clip(alpha[None] - off, 0, 1))
+    moved = alpha[None] - off
+    beyond = (moved < 0) | (moved > 1)  # where alpha is 0 or 1, alpha - off always is
+    return MatteErrors(alpha, sd, jnp.where(beyond, alpha[None] + off, moved))
 
 
 @jax.jit

@@ -1,0 +1,161 @@
+"""Rows of docs/coverage.md for edges, sensitivities, mattes and normals under near lights.
+
+    python tests/benchmarks/coverage.py {edges,sensitivities,mattes,near} [--count N]
+
+Each table takes less than ten minutes of one core. The true values are those of the simulators in
+the tests.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import chi2, norm
+
+sys.path.extend(str(room) for room in Path(__file__).parents[1].glob("*/"))
+
+import test_from_edge as edge
+import test_matting as matte
+import test_near_lights as near
+import test_sensitivities as colour
+
+from fitting import resolution, sensitivities
+from fitting.checks.coverage import coverage
+from fitting.reflectance import photometric_stereo
+from jaxvision import matting
+
+
+def row(*cells) -> None:
+    print("|", " | ".join(str(cell) for cell in cells), "|", flush=True)
+
+
+def shares(z) -> list[str]:
+    """Shares of the intervals that contain the true value, and the mean and s.d. of z."""
+    z = np.ravel(z)
+    inside = [np.mean(np.abs(z) < ndtri((1 + q) / 2)) for q in (0.5, 0.68, 0.95)]
+    return [*(f"{share:.3f}" for share in inside), f"{z.mean():+.2f}", f"{z.std():.2f}"]
+
+
+def edges(count: int = 500) -> None:
+    """Half of the edges have the contrast of a twentieth, at the same noise."""
+    for name, high in (("levels 100 and 1000", 1000.0), ("levels 100 and 145", 145.0)):
+        rng, found = np.random.default_rng(7), []
+        for _ in range(count // 2):
+            angle, blur, place = rng.uniform(0, 360), rng.uniform(0.4, 1.2), rng.uniform(-1, 1)
+            mean = edge.expected((48, 48), angle, place, blur, high=high)
+            one = resolution.from_edge(edge.noisy(mean, rng))
+            at = {e.name: (e.value, e.standard_error) for e in one.estimates}
+            turn = np.radians(angle)
+
+            def mtf(f, turn=turn, blur=blur):
+                aperture = np.sinc(f * np.cos(turn)) * np.sinc(f * np.sin(turn))
+                return aperture * np.exp(-2 * (np.pi * blur * f) ** 2)
+
+            fine = np.linspace(0, 2, 20_001)
+            half = fine[np.argmax(mtf(fine) < 0.5)]
+            band = one.mtf50
+            missed = one.otf - mtf(one.frequency)
+            square = missed @ np.linalg.pinv(one.otf_covariance) @ missed
+            found.append(
+                [
+                    norm.cdf((blur - at["blur"][0]) / at["blur"][1]),
+                    norm.cdf((half - band.mean) / band.sd),
+                    chi2.cdf(square, np.linalg.matrix_rank(one.otf_covariance)),
+                ]
+            )
+        u = np.array(found)
+        joint = np.mean(u[:, 2] < 0.95)
+        for one in coverage(u[:, :2], ("blur", "MTF50")):
+            low, high_end = one.band[-1]
+            row(
+                *(name, one.name, one.simulations, *(f"{share:.3f}" for share in one.covered)),
+                *(f"{low:.3f} to {high_end:.3f}", f"{one.z_mean:+.2f}", f"{one.z_sd:.2f}"),
+            )
+        row(name, "OTF, joint", len(u), "", "", f"{joint:.3f}", "", "", "")
+
+
+def placed(draws, truth):
+    """z of the true value among draws of a posterior."""
+    below = np.sum(np.asarray(draws) < truth, axis=0)
+    return ndtri((below + 0.5) / (len(draws) + 1))
+
+
+def charts(count: int = 40) -> None:
+    light = colour.CHART * colour.DAY
+    for name in colour.NAMES:
+        true = colour.camera(name)
+        rng = np.random.default_rng(99)
+        middle = rng.uniform(400, 700, (20, 1))
+        others = rng.uniform(0, 1, (20, 1)) * np.exp(-(((colour.NM - middle) / 80) ** 2))
+        others = (0.05 + others) * colour.DAY
+        raw, found = colour.NIGHT @ true, {"curve": [], "readings": [], "white balance": []}
+        for seed in range(count):
+            readings, sd = colour.chart(true, seed)
+            one = sensitivities.from_patches(readings, light, 1e-9 * colour.NM, sd=sd, seed=seed)
+            found["curve"].append(placed(one.draws, true))
+            found["readings"].append(placed(one.readings(others).draws, others @ true))
+            balance = one.white_balance(colour.NIGHT)
+            off = (raw[1] / raw - balance.mean)[[0, 2]]  # of red and blue
+            found["white balance"].append(off / balance.sd[[0, 2]])
+        for what, z in found.items():
+            row(name, what, count, *shares(z))
+
+
+def mattes(count: int = 40) -> None:
+    for texture in (0.0, 0.05, 0.1):
+        of_alpha, of_over = [], []
+        for seed in range(count):
+            image, trimap, alpha, _ = matte.hair(100 + seed, texture=texture)
+            found = matting.matte_errors(jax.random.key(seed), image, trimap)
+            unknown = (trimap > 0.1) & (trimap < 0.9)
+            sd = np.maximum(np.asarray(found.alpha_sd), 1e-3)
+            of_alpha.append(((found.alpha - alpha) / sd)[unknown])
+            made, true, *draws = (
+                np.asarray(a + (1 - a) * 0.3) for a in (found.alpha, alpha, *found.draws)
+            )
+            sd = np.sqrt(np.mean((np.array(draws) - made) ** 2, axis=0))
+            of_over.append(((made - true) / np.maximum(sd, 1e-3))[unknown])
+        row(texture, "alpha", count, *shares(np.concatenate(of_alpha)))
+        row(texture, "over grey", count, *shares(np.concatenate(of_over)))
+
+
+def close(count: int = 10) -> None:
+    """Positions off by 3 mm and powers by 1 %, as stated, or exact."""
+    sds = np.array([0.003, 0.003, 0.003, 0.01])
+    for kind in ("plane", "ball"):
+        points, normals = near.surface(kind)
+        known = np.isfinite(points).all(axis=-1)
+        albedo = np.where(known, 100 + 50 * np.sin(40 * points[..., 0]), 0)
+        images = near.read(points, normals, albedo)
+        stated = np.einsum("ij,ab->iajb", np.eye(8), np.diag(sds**2))
+        for name, size, covariance in (("exact", 0.0, None), ("off, as stated", 1.0, stated)):
+            inside, missed, z = [], [], []
+            for seed in range(count):
+                rng = np.random.default_rng(seed)
+                move = size * sds * rng.normal(size=(8, 4))
+                found = photometric_stereo(
+                    images + rng.normal(0, 1, images.shape),
+                    near.LIGHTS + move[:, :3],
+                    intensities=near.POWERS * np.exp(move[:, 3]),
+                    points=points,
+                    covariance=covariance,
+                )
+                off = near.off(found, normals)[known]
+                inside.append(np.mean(off < 2.448 * found.normal_sd[known]))
+                missed.append(np.median(off))
+                z.append(((found.albedo - albedo) / found.albedo_sd)[known])
+            degrees = f"{np.degrees(np.mean(missed)):.2f}°"
+            row(kind, name, count, f"{np.mean(inside):.3f}", shares(z)[2], degrees)
+
+
+TABLES = {"edges": edges, "sensitivities": charts, "mattes": mattes, "near": close}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("table", choices=TABLES)
+    parser.add_argument("--count", type=int)
+    asked = parser.parse_args()
+    TABLES[asked.table](**({} if asked.count is None else {"count": asked.count}))
