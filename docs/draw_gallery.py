@@ -14,6 +14,7 @@ from PIL import Image
 GALLERY = Path(__file__).parent / "gallery"
 FINE = 200  # dots per inch of figures without pixels of their own
 INK = "#767b83"  # legible on white and on near black, on which a transparent figure may lie
+LEVELS = [round(round(value * 127 / 255) * 255 / 127) for value in range(256)]  # 128 of 256
 STYLE = {
     **dict.fromkeys(
         ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
@@ -39,7 +40,9 @@ def draw(script: Path, folder: Path) -> Path:
         plt.savefig(picture, metadata={"Software": None}, dpi=dots)
         plt.close("all")
     image = Image.open(picture)
-    if not has_pixels:  # lines need few colours
+    if has_pixels:
+        image = image.point(LEVELS * len(image.getbands()))
+    else:  # lines need few colours
         image = image.quantize(256, method=Image.Quantize.FASTOCTREE)
     image.save(picture, optimize=True)
     return picture

@@ -104,7 +104,7 @@ def by_lights(
     inverse: Matrices,
     g: Vectors,
     covariance: Float[np.ndarray, "lights 4 lights 4"],
-    distances: Float[np.ndarray, "lights pixels"] | None = None,
+    distances: Float[np.ndarray, "lights pixels"] | None,
 ) -> Matrices:
     """Return the covariance of g from errors of the lights' directions and logarithms of
     intensities. With the weights w of the readings, the normal matrix M, the irradiance E, the
