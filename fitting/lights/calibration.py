@@ -179,11 +179,12 @@ def _locate_by_highlights(
     values = np.array([outline.values for outline in outlines])
     row, column = np.indices(signals.shape[1:])
     seen: list[list[Highlight]] = []
-    for ball, (x, y, r) in zip(balls, values, strict=True):
+    for ball, outline in zip(balls, outlines, strict=True):
+        x, y, r = outline.values
         inner = ball & (np.hypot(column - x, row - y) < INSIDE * r)
         seen.append(
             [
-                highlight_of(signal, inner, clip, name=name)
+                highlight_of(signal, inner, clip, outline, name=name)
                 for signal, name in zip(signals, names, strict=True)
             ]
         )

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import label
 
 from jaxvision.errors import InputError
 
 from ..inference.formatting import format_percent
-from .outline import ROUNDING, Lens, surface
+from .outline import ROUNDING, Lens, Outline, surface
 
 SEEN = 10.0  # standard deviations of the ball's pixels above their median
 BRIGHT = 0.2  # least peak of a highlight, as a share of full scale above black
-LEVELS = (0.5, 0.25)  # of the highlight's height, at which its centroid is taken
+LEVELS = (0.5, 0.25)  # of the highlight's height; its middle is taken above the last
+STEPS = 3  # from the centroid to the pixel that shows the mean direction
 SECOND = 0.3  # flux of a second highlight, relative to the first, that is refused
 WIDEST = 0.1  # largest share of the ball's pixels that may be bright or saturated
 FINEST = 0.05  # smallest assumed error of a centroid, pixels
@@ -44,10 +45,16 @@ def highlight_of(
     signal: Float[np.ndarray, "h w"],
     ball: Bool[np.ndarray, "h w"],
     clip: float,
+    outline: Outline,
     *,
     name: str,
 ) -> Highlight:
-    """Find the only highlight in a picture of a ball, in DN above black."""
+    """Find the only highlight in a picture of a ball, in DN above black.
+
+    Its middle is the mean of the directions that the ball reflects to the camera, each weighted by
+    the signal above a level. A mean of pixels would be nearer to the rim than the light's pixel,
+    because directions change faster with the pixel there.
+    """
     seen = signal[ball]
     level, peak = float(np.median(seen)), float(seen.max())
     if (share := float(np.mean(seen >= clip))) > WIDEST:
@@ -80,7 +87,8 @@ def highlight_of(
             )
         rows, columns = np.nonzero(pieces == first)
         weight = signal[rows, columns] - level
-        places.append(np.average(np.stack([columns, rows], axis=1), axis=0, weights=weight))
+        above_part = np.minimum(weight, clip - level) - part * (peak - level)
+        places.append(_middle(np.stack([columns, rows], axis=1), above_part, outline))
     clipped = bool((signal[rows, columns] >= clip).any())
     spread = np.sqrt(np.average((columns - places[-1][0]) ** 2, weights=weight))
     sd = np.sqrt(
@@ -89,10 +97,24 @@ def highlight_of(
         + (ROUNDING**2 / len(weight) if clipped else FINEST**2)
     )
     row, column = np.indices(signal.shape)
-    around = np.hypot(column - places[0][0], row - places[0][1]) < 3 * spread + 2
+    around = np.hypot(column - places[-1][0], row - places[-1][1]) < 3 * spread + 2
     flux = float((signal - level)[around & ball].sum())
     relative = float(np.hypot(noise * np.sqrt(around.sum()) / flux, UNEVEN))
-    return Highlight(places[0], float(sd), np.nan if clipped else flux, relative)
+    return Highlight(places[-1], float(sd), np.nan if clipped else flux, relative)
+
+
+def _middle(
+    pixels: Int[np.ndarray, "some 2"], weight: Float[np.ndarray, " some"], outline: Outline
+) -> Float[np.ndarray, "2"]:
+    """Return the position that shows the weighted mean of the directions of some pixels."""
+    mean = np.average(reflected(outline.values, pixels, outline.lens)[0], axis=0, weights=weight)
+    place = np.average(pixels, axis=0, weights=weight)
+    for _ in range(STEPS):
+        normal, view = surface(outline.values, place, outline.lens)
+        wanted = mean / np.linalg.norm(mean) + view
+        change = wanted / np.linalg.norm(wanted) - normal
+        place = place + outline.values[2] * np.array([change[0], -change[1]])
+    return place
 
 
 def reflected(
