@@ -26,6 +26,7 @@ FEWEST = 10  # data
 PIXELS = 1000  # pixels of a map whose data are checked
 PILED, STEEP = 5, 3.0  # fewest data at an end, and ratio to those at each neighbouring value
 BESIDE = 8  # values next to an end
+CONSTANT = 0.5  # share of simulated data that differ from data that are all equal
 COPIED = 0.1  # share of repeated values from which copies are reported
 SINGLE = 100_000  # number of data from which rounding to float32 makes many equal
 BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
@@ -119,6 +120,8 @@ def _repeated(
     values, counts = np.unique(known, return_counts=True)
     if len(values) == len(known):
         return ()
+    if len(values) == 1:
+        return _constant(seen, known, seed)
     found = _copied(known, counts) + _clipped(seen, values, counts, seed, overrated=overrated)
     if faulty:
         found += _rounded(seen, known, seed)
@@ -198,6 +201,17 @@ def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
     if abs(missed) > WRONG * error:
         return DataCheck(failures=(words,), overrated=True)
     return DataCheck(findings=(words,), overrated=True)
+
+
+def _constant(seen: _FitOfPresent, known: np.ndarray, seed: int) -> tuple[str, ...]:
+    """Return a finding if all data are equal, although the likelihood predicts that they differ."""
+    if np.mean(seen.drawn(seed) != known[0]) < CONSTANT:
+        return ()
+    return (
+        f"All {known.size} data are equal to {known[0]:.6g}, where the likelihood predicts "
+        "different values: they are clipped, rounded, or copies of one, and show no noise. The fit "
+        "says nothing of their error.",
+    )
 
 
 def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:

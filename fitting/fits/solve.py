@@ -206,7 +206,9 @@ def fit(
     failures = [*why] or failures
     own = DataCheck()
     if not why:
-        own = data_check(problem, optimum.vector, checks, explained=wide.explained, seed=seed)
+        # At a saddle, a misfit is not a fault of the data.
+        explained = wide.explained or optimum.saddle
+        own = data_check(problem, optimum.vector, checks, explained=explained, seed=seed)
     failures = [*own.failures, *failures]
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
     failures += chain_failures(drawn) + ([] if why else search_findings(optimum, drawn))

@@ -47,6 +47,20 @@ def test_data_that_are_clipped_or_rounded_are_told(data, expected):
     assert allowed.findings[0].split(" data ")[0] == found.failures[0].split(" data ")[0]
 
 
+def test_constant_data_are_neither_clipped_at_one_end_nor_copies():
+    for level in (0.3, 255.0):
+        problem = Problem(
+            {"level": Parameter(lower=-10, upper=300)},
+            lambda level: level * np.ones(60),
+            Gaussian(sd=2.0),
+            np.full(60, level),
+        )
+        found = fit(problem, starts=2)
+        told = [one for one in (*found.failures, *found.findings) if "data are" in one]
+        assert len(told) == 1
+        assert told[0].startswith(f"All 60 data are equal to {level:.6g}")
+
+
 def test_copies_among_the_data_are_told():
     """Of 200 data 50 are independent: standard errors are half of what they should be."""
     copied = noisy()[::4].repeat(4)
