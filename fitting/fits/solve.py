@@ -22,7 +22,7 @@ from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.differences import correct_by_differences
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
-from ..inference.importance import laplace_where_it_holds
+from ..inference.importance import laplace_where_it_holds, without_mode
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import Misfit, judge_sums, sums
 from ..inference.nuts import Nuts, nuts, require_blackjax
@@ -56,6 +56,7 @@ from .words import (
     chain_failures,
     is_confirmed,
     left_out_findings,
+    no_maximum,
     posterior_findings,
     search_findings,
     verdict,
@@ -200,7 +201,7 @@ def fit(
     optimum, residuals, checks, wide = end.optimum, end.residuals, end.checks, end.wide
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     before = None if after is None else after.posterior
-    failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
+    failures = verdict(problem, optimum, checks, wide.explained, wide_noise=_fits_width(problem))
     against = conflicts(problem, optimum, wide)
     why = _contradicted(problem, end, how) if failures else ()
     failures = [*why] or failures
@@ -210,8 +211,13 @@ def fit(
         explained = wide.explained or optimum.saddle
         own = data_check(problem, optimum.vector, checks, explained=explained, seed=seed)
     failures = [*own.failures, *failures]
-    drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
-    failures += chain_failures(drawn) + ([] if why else search_findings(optimum, drawn))
+    run = (problem, vector, optimum, wide, method, seed, before)
+    endless = bool(failures) and failures == no_maximum(problem, optimum)
+    drawn = _draw(*run, failed=bool(failures), endless=endless)
+    if endless and drawn.shifted:
+        failures = []
+    several = [] if why or np.isinf(drawn.shifted) else search_findings(optimum, drawn)
+    failures += chain_failures(drawn) + several
     contradicted = () if why else against
     remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
     carried = () if problem.prior is None else problem.prior.words
@@ -514,6 +520,7 @@ def _draw(
     after: Posterior | None,
     *,
     failed: bool,
+    endless: bool,
 ) -> Posterior:
     space, covariance = problem.space, wide.gaussian_covariance
     density: tuple[Any, Any] = (log_density, problem)
@@ -528,16 +535,22 @@ def _draw(
             "wider": covariance,
             "by_chain": False,
         }
-        if failed or problem.stream is not None:
-            described["missed"] = np.zeros(len(space))
-        elif (
+        described["local"] = None
+        if (
             density[0] is log_density
+            and problem.stream is None
             and not optimum.unseen
             and _gradients_about(problem) <= MOST_GRADIENTS
         ):
             described["local"] = partial(derivatives, problem=problem)
+        if failed or problem.stream is not None:
+            described["missed"] = np.zeros(len(space))
         run = (density[0], space, vector, wide.covariance, density[1])
-        found = laplace_where_it_holds(*run, seed=seed, **described)
+        found = None
+        if endless and described["local"] is not None:
+            found = without_mode(*run, optimum.information, seed=seed, local=described["local"])
+        if found is None:
+            found = laplace_where_it_holds(*run, seed=seed, **described)
         if isinstance(method, Laplace):
             untested = failed or problem.stream is not None
             return replace(found, miss=np.nan) if untested else found

@@ -18,6 +18,7 @@ from ..inference.problem import Problem
 from ..inference.search import SAME_PLACE, Optimum
 from ..inference.trust import convergence_in_words, is_trusted
 
+FLAT = 0.3  # share of a parameter in the flattest direction from which it is named
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
 SAME_END = 0.02  # difference in cost from which two searches count as different optima
 MANY_OPTIMA = 0.4  # share of searches ending alone from which four must agree
@@ -29,24 +30,45 @@ NARROWEST = 1e-4  # smallest scaled eigenvalue that is used to compare optima
 AT_END = 1.25
 
 
+def no_maximum(problem: Problem, optimum: Optimum) -> list[str]:
+    """Return the reason why the end of a search is no maximum, if it is none."""
+    if optimum.saddle:
+        return [
+            "The search ended at a saddle, from which the density rises to both sides: "
+            f"{_bounds_to_give(problem, optimum)}try more starts."
+        ]
+    if optimum.stationary:
+        return []
+    promise = f"another step promises {optimum.decrement:.2g} in log density"
+    if not np.isfinite(optimum.decrement):
+        promise = "its last step led uphill"
+    return [
+        f"The search stopped before a maximum: {promise}; {_bounds_to_give(problem, optimum)}try "
+        "more starts, narrower bounds, or transform='log' for a number whose size is unknown."
+    ]
+
+
+def _bounds_to_give(problem: Problem, optimum: Optimum) -> str:
+    """Return advice for parameters without a prior and open to a side, along which the density is
+    flat or rises."""
+    scale = np.sqrt(np.abs(np.diagonal(optimum.information)))
+    scale = np.where(scale > 0, scale, 1)
+    _, axes = np.linalg.eigh(np.nan_to_num(optimum.information / np.outer(scale, scale)))
+    open_ = [
+        parameter.name
+        for parameter, part in zip(problem.space, axes[:, 0], strict=True)
+        if parameter.prior is None and not np.isfinite(ends(parameter)).all() and abs(part) > FLAT
+    ]
+    if not open_:
+        return ""
+    return f"give {listed(open_)} a prior or bounds at both ends, as nothing limits it, or "
+
+
 def verdict(
-    optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
+    problem: Problem, optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
     """Return the reasons why the end of a search is not accepted as a fit, if there are any."""
-    failures = []
-    if optimum.saddle:
-        failures.append(
-            "The search ended at a saddle, from which the density rises to both sides: try more "
-            "starts."
-        )
-    elif not optimum.stationary:
-        promise = f"another step promises {optimum.decrement:.2g} in log density"
-        if not np.isfinite(optimum.decrement):
-            promise = "its last step led uphill"
-        failures.append(
-            f"The search stopped before a maximum: {promise}; try more starts, narrower bounds, or "
-            "transform='log' for a number whose size is unknown."
-        )
+    failures = no_maximum(problem, optimum)
     if len(optimum.costs) == 1 and wide_noise:
         failures.append(
             "The width of the noise was fitted. At a wrong optimum it grows until the misfit "

@@ -102,11 +102,9 @@ def laplace_where_it_holds(
         centre = np.asarray(mode, np.float64)
         cost, _, curvature = local(np.stack([centre, *_away(centre, spread)]))
         missed, volume = _misses(cost), volume_change(curvature)
-        if len(space) > 1 and not np.max(volume) <= TOLERATED_VOLUME:
-            steps = np.diag(NEAR / np.sqrt(np.diagonal(curvature[0])))
-            near = local(np.stack([centre, *(centre + steps), *(centre - steps)]))[2]
-            order = widest_first(near, FAR * np.sqrt(np.diagonal(spread)) / np.diagonal(steps))
-            integrated = _along_a_ridge(log_density, space, mode, spread, args, seed, local, order)
+        if not np.max(volume) <= TOLERATED_VOLUME:
+            run = (log_density, space, mode, spread, args)
+            integrated = _along_a_ridge(*run, curvature[0], seed=seed, local=local)
     if missed is None:
         missed = gaussian_miss(log_density, mode, spread, args)
     gaussian = np.max(missed) <= TOLERATED
@@ -165,22 +163,56 @@ def _misses(costs: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.max(np.abs(rise - FAR**2 / 2), axis=0), nan=np.inf)
 
 
+def without_mode(
+    log_density: LogDensity,
+    space: ParameterSpace,
+    end: Float[Array, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    args: Any,
+    curvature: Float[np.ndarray, "parameters parameters"],
+    *,
+    seed: int,
+    local: Local,
+) -> Posterior | None:
+    """Return draws along one parameter where all parameters together have no mode, as for the
+    standard deviation of effects without an upper bound. None if no parameter's integrated density
+    falls to both sides. `end` is where the search ended, and `curvature` the one there; the other
+    arguments are those of `laplace_where_it_holds`.
+    """
+    run = (log_density, space, end, covariance, args, curvature)
+    found = _along_a_ridge(*run, seed=seed, local=local)
+    if found is None or abs(found.shifted) <= APART:
+        return None
+    return replace(found, shifted=float(np.copysign(np.inf, found.shifted)))
+
+
 def _along_a_ridge(
     log_density: LogDensity,
     space: ParameterSpace,
     mode: Array,
     covariance: np.ndarray,
     args: Any,
+    curvature: np.ndarray,
+    *,
     seed: int,
     local: Local,
-    order: np.ndarray,
 ) -> Posterior | None:
-    """Draws along the first of some parameters, or along the next ones; None if too few of the
-    draws count."""
+    """Draws along the first of some parameters, or along the next ones, in the order of how much
+    the others' information changes with them; None if too few of the draws count."""
+    if len(space) == 1:
+        return None
+    centre = np.asarray(mode, np.float64)
+    with np.errstate(all="ignore"):
+        widths = NEAR / np.sqrt(np.abs(np.diagonal(curvature)))
+    if not np.isfinite(widths).all():
+        return None
+    steps = np.diag(widths)
+    near = local(np.stack([centre, *(centre + steps), *(centre - steps)]))[2]
+    order = widest_first(near, FAR * np.sqrt(np.diagonal(covariance)) / widths)
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(space) + 2, rng=np.random.default_rng(seed)).random(MOST)
-    centre, digit = np.asarray(mode, np.float64), float(jnp.finfo(mode.dtype).eps)
+    digit = float(jnp.finfo(mode.dtype).eps)
     for index in order[:RIDGES]:
         along = ridge(local, centre, covariance, int(index), digit=digit)
         if along is None:

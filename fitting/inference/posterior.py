@@ -76,7 +76,8 @@ class Posterior:
         endless: parameter that the data bound on one side only, as found by a chain.
         effective: effective number of draws of importance sampling.
         shifted: distance of the most probable value of `missed` alone from its value at the mode of
-            all parameters together, in standard deviations; 0 where it is at most 2.
+            all parameters together, in standard deviations; 0 where it is at most 2, infinite where
+            all parameters together have no mode.
         miss: difference between the decrease of the log density at two standard deviations and a
             Gaussian's, the largest over parameters, where Laplace's approximation was tested; else
             NaN.

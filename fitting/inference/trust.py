@@ -43,12 +43,20 @@ def convergence_in_words(posterior: Posterior) -> str:
             "posterior itself."
         )
     if posterior.shifted:
-        return (
+        side = "below" if posterior.shifted > 0 else "above"
+        where = (
             f"The mode of all parameters together lies {abs(posterior.shifted):.1f} standard "
-            f"deviations {'below' if posterior.shifted > 0 else 'above'} the most probable value "
-            f"of {posterior.missed} alone, as for a scale of effects that are fitted beside it. "
-            "Best values are at the latter; intervals are quantiles of draws by importance "
-            f"sampling, with an effective number of {posterior.effective:.0f}."
+            f"deviations {side} the most probable value of {posterior.missed} alone"
+        )
+        if np.isinf(posterior.shifted):
+            where = (
+                f"All parameters together have no mode {side} the most probable value of "
+                f"{posterior.missed} alone: their density rises without end"
+            )
+        return (
+            f"{where}, as for a scale of effects that are fitted beside it. Best values are at the "
+            "most probable value; intervals are quantiles of draws by importance sampling, with an "
+            f"effective number of {posterior.effective:.0f}."
         )
     if posterior.missed:
         return (

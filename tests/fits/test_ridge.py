@@ -92,11 +92,13 @@ def test_draws_along_a_funnel_follow_its_closed_form(count):
     [
         (UNIFORM, lambda tau: np.where(tau < 2, 0, -np.inf)),
         (Parameter(prior=LogNormal(0.3, 1.0), transform="log"), log_normal),
+        (Parameter(lower=0.0, start=0.3), np.zeros_like),
     ],
-    ids=["uniform", "log-normal"],
+    ids=["uniform", "log-normal", "open"],
 )
 def test_the_scale_of_groups_is_integrated_over_their_effects(tau, log_prior):
-    """The mode of all numbers together has tau about five times too large."""
+    """The mode of all numbers together has tau about five times too large; without an upper bound
+    there is none."""
     found = fit(problem(1, tau=tau), starts=4)
     estimates = {estimate.name: estimate for estimate in found.estimates}
     (low, low_68, middle, high_68, high), mode = exact(np.asarray(found.problem.data), log_prior)
@@ -107,10 +109,16 @@ def test_the_scale_of_groups_is_integrated_over_their_effects(tau, log_prior):
     assert abs(float(found.values["tau"]) - mode) < 0.5 * spread
     mean = np.asarray(found.problem.data).mean()
     assert estimates["mu"].value == pytest.approx(mean, abs=0.1 * estimates["mu"].standard_error)
-    assert any(
-        "standard deviations above the most probable value of tau" in s for s in found.findings
-    )
+    assert any("above the most probable value of tau" in s for s in found.findings)
     assert found.posterior.shifted < -2
+
+
+@pytest.mark.slow
+def test_a_scale_that_nothing_limits_is_named():
+    """Two groups: the density of tau falls as 1 / tau, whose integral has no end."""
+    found = fit(problem(1, groups=2, tau=Parameter(lower=0.0, start=0.3)), starts=4)
+    assert not found.converged
+    assert "give tau a prior or bounds at both ends" in found.failures[0]
 
 
 @pytest.mark.slow
