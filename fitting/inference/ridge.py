@@ -137,9 +137,11 @@ def ridge(
         if last - first < POINTS // 3:
             low, high = steps[first - 1], steps[last + 1]
             continue
-        if not known[first : last + 1].all():
+        # The density may fall by far more than DEEP within one step, as where another number meets
+        # a bound: the table includes the first places beyond.
+        chosen = slice(first - 1, last + 2)
+        if not known[chosen].all():
             return None
-        chosen = slice(first, last + 1)
         try:
             roots = np.linalg.cholesky(np.linalg.inv(information[chosen]))
         except np.linalg.LinAlgError:
