@@ -282,6 +282,10 @@ def arriving(light, p, nodes):
                 wi = np.array([[sine * np.cos(phi), sine * np.sin(phi), cos]])
                 e = sky_radiance(light, wi) * w * 2 * np.pi / around
                 yield np.broadcast_to(wi, p.shape), np.repeat(e, n, 0), np.full(n, np.inf)
+    elif name in ("SpotLight", "GoniometricLight"):
+        wi, e, distance = at_place(number(light.position), number(light.intensity), None, p)
+        share = cone if name == "SpotLight" else photometric
+        yield wi, e * share(light, -wi)[:, None], distance
     elif name in ("PointLight", "SmallLight"):
         normal = unit(number(light.normal)) if name == "SmallLight" else None
         yield at_place(number(light.position), number(light.intensity), normal, p)
@@ -294,6 +298,29 @@ def arriving(light, p, nodes):
             for t, wt in zip((x + 1) / 2, w / 2, strict=True):
                 power = number(light.radiance) * area * ws * wt
                 yield at_place(c + s * u + t * v, power, across / area, p)
+
+
+def cone(light, away):
+    """Relative intensity of a spot light: as in glTF ("smooth") or Mitsuba ("linear")."""
+    inner, outer = float(light.inner), float(light.outer)
+    cosine = away @ unit(number(light.direction))
+    if light.falloff == "smooth":
+        part = (cosine - np.cos(outer)) / (np.cos(inner) - np.cos(outer))
+        return np.clip(part, 0, 1) ** 2
+    return np.clip((outer - np.arccos(np.clip(cosine, -1, 1))) / (outer - inner), 0, 1)
+
+
+def photometric(light, away):
+    """Relative intensity of a lamp of system C: bilinear in gamma, from -z, and in C, from x."""
+    x, y, z = (away @ number(light.rotation).T).T
+    gamma, c = np.arccos(np.clip(-z, -1, 1)), np.mod(np.arctan2(y, x), 2 * np.pi)
+    planes = np.array([np.interp(c, number(light.horizontal), row) for row in light.distribution])
+    vertical = number(light.vertical)
+    row = np.clip(np.searchsorted(vertical, gamma) - 1, 0, len(vertical) - 2)
+    t = (gamma - vertical[row]) / (vertical[row + 1] - vertical[row])
+    each = np.arange(len(gamma))
+    between = (1 - t) * planes[row, each] + t * planes[row + 1, each]
+    return np.where((gamma >= vertical[0]) & (gamma <= vertical[-1]), between, 0)
 
 
 def at_place(place, intensity, normal, p):
