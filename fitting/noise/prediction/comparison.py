@@ -137,11 +137,14 @@ def compare(
     shown: Bool[np.ndarray, " levels"] | None = None,
     fitted: bool = False,
     noise_known: bool = True,
+    dies: int = 0,
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
     """Compare a measurement with its prediction by a camera. If `noise_known` is false, only means
-    are compared, with errors from the variances of the frames."""
+    are compared, with errors from the variances of the frames. `dies` counts the samples of
+    unequal pixels (of the frames, and of the calibration) by which the means may differ; 0 if both
+    are the same pixels."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
@@ -176,6 +179,8 @@ def compare(
     seen, own = levels.measured, own[:, shown]
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
+    own_means = slice(found.signal.size)
+    die[own_means, own_means] += dies * _of_unequal_pixels(best, found, levels)
     camera = flat.T @ flat / len(flat)
     if not noise_known:
         unknown = UNKNOWN * np.concatenate([0 * own[:1], own[1:]]).ravel()
@@ -248,8 +253,34 @@ def _expected(
     over_light = np.zeros_like(values)
     over_light[:2] = step * by_light, step**2 * slope * by_light
     values = _file_numbers(values, step, origin)
-    found = Expected(values, over_light, electrons, step * slope, rows, columns, frames)
+    rounding = 0.0 if sensor.bits is None else step**2 / 12
+    current = 0.0 if sensor.dark_current is None else float(sensor.dark_current)
+    found = Expected(
+        *(values, over_light, electrons, step * slope),
+        *(rows, columns, frames, rounding, current),
+    )
     return found, _file_numbers(of_every[min(len(of_every) - 1, 1) :], step, origin), die
+
+
+def _of_unequal_pixels(
+    sensor: Sensor, found: Expected, levels: Frames
+) -> Float[np.ndarray, "levels levels"]:
+    """Return the covariance between the levels' means, DN^2, by the sampling of the pixels: the
+    mean gain and the mean offset of a few pixels deviate from those of all pixels."""
+    rows, columns = levels.shape or 2 * (levels.pixels**0.5,)
+    covariance = np.zeros(2 * found.signal.shape)
+    for name, count, by in (
+        ("dsnu", levels.pixels, found.step),
+        ("row_dsnu", rows, found.step),
+        ("column_dsnu", columns, found.step),
+        ("prnu", levels.pixels, found.by_light[0]),
+        ("conversion_prnu", levels.pixels, found.signal),
+        ("column_prnu", columns, found.signal),
+    ):
+        size = getattr(sensor, name)
+        if size is not None:
+            covariance += np.outer(by, by) * float(size) ** 2 / count
+    return covariance
 
 
 def _file_numbers(values: np.ndarray, step: float, origin: float) -> np.ndarray:

@@ -22,10 +22,13 @@ from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
 from .moments import Expected, Lit, noise
 
+GAIN = "gain"
 MOST = 4  # most effects that are named
 PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
 REFINEMENTS = 3  # updates of the noise of the frames with an effect
-LEAST_SHARE = 10.0  # largest factor by which an effect may lower the variance that gives the errors
+LEAST_SHARE = 1e4  # largest factor by which an effect may lower the variance that gives the errors
+FEWEST_AVERAGED = 1.5
+SIGNIFICANT = 2.0  # standard errors of an effect that is still named beside all others
 FINEST = 1e-8  # squared, of the largest scatter that residuals allow; counts as none
 
 Shape = Float[np.ndarray, "quantities levels"]
@@ -66,6 +69,29 @@ class Candidate(NamedTuple):
     positive: bool = False
 
 
+def _all_noise(size: Size, found: Expected) -> str:
+    """Name a factor by which all noise is smaller or larger, in the dark as in light."""
+    how = "as in frames that were sharpened, or in differences of frames"
+    if -1 < size.value < 0:
+        count = Size(1 / (1 + size.value), size.error / (1 + size.value) ** 2)
+        how = "as in frames that were denoised or resized"
+        if count.value > FEWEST_AVERAGED:
+            how += f", or in means of {count.in_words()} frames or pixels (binning)"
+    return (
+        f"variances {size.word('larger', 'smaller')} by {size.in_words(100)} % at every level, "
+        f"dark or light, {how}"
+    )
+
+
+def _filtered(along: str) -> Callable[[Size, Expected], str]:
+    """Make the function that names covariances of neighbours in proportion to all noise."""
+    return lambda a, e: (
+        f"covariances of neighbours along {along} of {a.word('', '-')}{a.in_words(100)} % of the "
+        "predicted variance at every level, dark or light, as in frames that were "
+        f"{a.word('smoothed, resized or interpolated', 'sharpened or resized')}"
+    )
+
+
 def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
     """Make the function that names mixing of neighbouring pixels which the fitted gain did not
     include."""
@@ -86,7 +112,7 @@ CANDIDATES = (
         ),
     ),
     Candidate(
-        "gain",
+        GAIN,
         lambda e, at: (e.signal, 2 * e.values[1], None, None),
         lambda a, e: f"a gain {a.word('larger', 'smaller')} by {a.in_words(100)} %",
     ),
@@ -115,6 +141,30 @@ CANDIDATES = (
         "dark_current",
         lambda e, at: (e.step * at.exposure, e.step**2 * at.exposure, None, None),
         lambda a, e: f"{a.in_words()} e⁻/s {a.word('more', 'less')} dark current",
+    ),
+    Candidate(
+        "dark_subtraction",
+        lambda e, at: (-e.dark_current * e.step * at.exposure, None, None, None),
+        lambda a, e: (
+            f"means lower by {a.in_words(100)} % of the dark current, though not the variances, as "
+            "after a dark frame was subtracted"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "all_noise",
+        lambda e, at: (None, e.before_rounding, *e.values[2:]),
+        _all_noise,
+    ),
+    Candidate(
+        "filter_along_rows",
+        lambda e, at: (None, None, e.before_rounding, None),
+        _filtered("a row"),
+    ),
+    Candidate(
+        "filter_along_columns",
+        lambda e, at: (None, None, None, e.before_rounding),
+        _filtered("a column"),
     ),
     Candidate(
         "read_noise",
@@ -221,7 +271,14 @@ SCATTERS = (  # new at every level
 
 # A linear camera calibrated on a curved response also has wrong slopes: each of these effects
 # explains little without the others.
-TOGETHER = (("compression", "light"), ("compression", "gain"), ("compression", "gain", "light"))
+TOGETHER = (
+    ("gain", "light"),
+    ("compression", "light"),
+    ("compression", "gain"),
+    ("compression", "gain", "light"),
+    ("filter_along_rows", "filter_along_columns"),
+    ("all_noise", "filter_along_rows", "filter_along_columns"),
+)
 
 
 @dataclass(frozen=True)
@@ -272,7 +329,7 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
         gain = fit.gain_of_scatter(place) if scatter.key else 0.0
         if gain >= PRICE and fit.is_missed:
             found.append(fit.take_scatter(place, gain))
-    return tuple(found)
+    return fit.restated(found)
 
 
 class _Fit:
@@ -280,6 +337,7 @@ class _Fit:
 
     def __init__(self, comparison: Comparison) -> None:
         self._comparison, self._found, self._taken = comparison, comparison.found, []
+        self._gain, self._at_stated_gain = 0.0, comparison.found
         self._named = np.zeros(len(SCATTERS), bool)
         self._take_noise()
         most = np.log(np.sum(self._missed**2) + 1)
@@ -298,7 +356,7 @@ class _Fit:
         squares = np.array([self._shape(one) ** 2 for one in SCATTERS])
         self._scales = np.maximum(squares.max(axis=1), 1e-300)
         self._squares = squares / self._scales[:, None]
-        shapes = [self._shape(one) for one in self._taken]
+        shapes = [self._of_gain() if one.key == GAIN else self._shape(one) for one in self._taken]
         self._columns = np.array(shapes).reshape(-1, self._unit.size).T
 
     @property
@@ -330,13 +388,43 @@ class _Fit:
                 self._sizes(self._columns, self._covariance(self._logs))[0]
             )
         self._take_noise()
+        return self._missing(one, self._taken_sizes()[one.key], gain)
+
+    def _taken_sizes(self) -> dict[str, Size]:
+        """Return the sizes of all chosen effects, fitted together."""
         sizes, covariance = self._sizes(self._columns, self._covariance(self._logs))
-        size = Size(float(sizes[-1]), float(np.sqrt(covariance[-1, -1])))
-        return self._missing(one, size, gain)
+        both = zip(self._taken, sizes, np.sqrt(np.diagonal(covariance)), strict=True)
+        return {one.key: Size(float(size), float(error)) for one, size, error in both}
+
+    def restated(self, found: list[Missing]) -> tuple[Missing, ...]:
+        """Return the effects with their sizes beside all others, without those that the others
+        made insignificant."""
+        sizes, named = self._taken_sizes() if self._taken else {}, []
+        by_key = {one.key: one for one in self._taken}
+        for one in found:
+            size = sizes.get(one.key)
+            if size is None:  # a scatter
+                named.append(one)
+            elif abs(size.value) > SIGNIFICANT * size.error:
+                clause = by_key[one.key].sentence(size, self._comparison.found)
+                named.append(replace(one, clause=clause))
+        return tuple(named or found)
+
+    def _of_gain(self) -> np.ndarray:
+        """Return the signature of another gain beside all other effects. A gain of (1 + g) K
+        multiplies the variance by 1 + (2 + g) g."""
+        stated, other = self._comparison.found, self._at_stated_gain
+        signal = stated.signal + other.values[0] - stated.values[0]
+        noise = (2 + self._gain) * np.array([other.before_rounding, *other.values[2:]])
+        return np.concatenate([signal, *noise[: len(other.values) - 1]]) / self._unit
 
     def _with_effects(self, sizes: np.ndarray) -> Expected:
         found = self._comparison.found
         shape = found.values.shape
+        of_gain = np.array([one.key == GAIN for one in self._taken])
+        others = (self._columns @ np.where(of_gain, 0, sizes) * self._unit).reshape(shape)
+        self._at_stated_gain = replace(found, values=found.values + others)
+        self._gain = float(np.sum(sizes[of_gain]))
         added = (self._columns @ sizes * self._unit).reshape(shape)
         lines = {"row_noise": found.rows, "column_noise": found.columns}
         for one, size in zip(self._taken, sizes, strict=True):

@@ -52,6 +52,8 @@ class Expected:
         rows: variance of the noise that the pixels of a row share, new in every frame, DN^2.
         columns: variance of the noise that the pixels of a column share, new in every frame, DN^2.
         frames: variance of the noise that all pixels of a frame share, DN^2.
+        rounding: variance of the rounding error, DN^2.
+        dark_current: e-/s.
     """
 
     values: Float[np.ndarray, "quantities levels"]
@@ -61,6 +63,8 @@ class Expected:
     rows: float
     columns: float
     frames: float
+    rounding: float
+    dark_current: float
 
     @property
     def signal(self) -> Float[np.ndarray, " levels"]:
@@ -76,6 +80,11 @@ class Expected:
     def shot(self) -> Float[np.ndarray, " levels"]:
         """Variance of shot noise, DN^2."""
         return self.step**2 * self.electrons
+
+    @property
+    def before_rounding(self) -> Float[np.ndarray, " levels"]:
+        """Variance without the rounding error, DN^2."""
+        return np.maximum(self.values[1] - self.rounding, 0.0)
 
 
 @dataclass(frozen=True)

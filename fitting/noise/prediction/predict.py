@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from jaxvision import Sensor, as_dtype
 from jaxvision.errors import InputError
@@ -24,6 +24,8 @@ from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
+from ..pattern import fitted_pattern
+from ..raw_frames import processing_in_words
 from ..sensor import bits_of, fitted_sensor
 from ..sites import camera_of_taps, stated_in_words, tap_of, tap_sensor
 from .comparison import Comparison, compare
@@ -32,6 +34,12 @@ from .missing import Missing, missing_effects
 DRAWS = 200  # draws of a camera file that are used for its uncertainty
 LEAST = 3  # levels, beyond the number of a curve's terms, that half of the levels must have
 NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
+OFFSETS, GAINS = ("dsnu", "row_dsnu", "column_dsnu"), ("prnu", "conversion_prnu", "column_prnu")
+LEAST_PATTERN = 0.7  # of the stated rms of a fixed pattern, below which frames were corrected
+MOST_AVERAGED = 256  # frames or pixels
+CLEAR = 3.0  # standard deviations of a dark from the first code
+OTHER = 5.0  # ratio of dark signals that is named
+PATTERN_SIGMAS = 5.0  # standard errors of a measured pattern
 HOLD_OUT_STRIDE = 2  # one of this many levels is held out
 FEWEST_DARKS = 8  # number of darks from which darks are held out, too
 
@@ -146,14 +154,18 @@ def predict(
                 lambda sensor: sensor.read_noise, draws, every, is_leaf=lambda leaf: leaf is None
             )
     found = compare(
-        dithered, draws, measurement, usable, noise_known=not unstated, light_error=light_error
+        *(dithered, draws, measurement, usable),
+        noise_known=not unstated,
+        dies=1 if draws is None else 2,
+        light_error=light_error,
     )
-    lit = np.asarray(found.lit.lit) > 0
-    if not lit.any():
+    darks = _darks_in_words(camera, measurement)
+    if not np.asarray(found.lit.lit).any():
         raise InputError(
             f"{name}: predicts every level of light at an end of its scale, but the frames have "
             f"{float(measurement.bright.mean[usable].min()):.4g} to "
-            f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset."
+            f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset"
+            f"{', and the exposures. ' + ' '.join(darks) if darks else '.'}"
         )
     return Prediction(
         camera=name,
@@ -162,7 +174,16 @@ def predict(
         light_error=light_error,
         variance_error=0.0,
         missing=missing_effects(found),
-        remarks=tuple(_remarks(name, camera, unstated, found)),
+        remarks=(
+            *processing_in_words(measurement, usable),
+            *(doubt.sentence for doubt in measurement.doubts),
+            *measurement.bright.left_out,
+            *measurement.dark.left_out,
+            *measurement.remarks,
+            *_remarks(name, camera, unstated, found),
+            *darks,
+            *_pattern_in_words(camera, measurement, usable),
+        ),
     )
 
 
@@ -189,15 +210,85 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
     return sentences
 
 
-def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
-    if camera.bits is None or measurement.full_scale is None:
-        return
-    bits, seen = float(camera.bits), bits_of(measurement.full_scale, measurement.converter)
-    if bits != seen:
-        raise InputError(
-            f"{name} has {bits:g} bits, and the frames {seen:g}; give frames of the same "
-            "converter, or state their bits."
+def _darks_in_words(camera: Sensor, measurement: PhotonTransfer) -> list[str]:
+    """Return sentences on darks whose dark current differs from that of the camera by a factor, or
+    which are clipped at the first code although those of the camera are not."""
+    dark, converter = measurement.dark, measurement.converter
+    step, gain = converter.step or 1.0, 1.0 if camera.gain is None else float(camera.gain)
+    black = converter.origin + step * (0.0 if camera.offset is None else float(camera.offset))
+    longest = int(np.argmax(np.asarray(dark.exposure)))
+    time, mean = float(dark.exposure[longest]), float(dark.mean[longest])
+    noise = float(np.sqrt(dark.variance[longest]))
+    current = 0.0 if camera.dark_current is None else float(camera.dark_current)
+    seen, stated = mean - black, step * gain * current * time
+    near, found = CLEAR * max(noise, step), []
+    if mean - converter.origin < near < black - converter.origin and noise > 0:
+        found.append(
+            f"The darks have a mean of {mean:.3g} DN, where the camera has a black level of "
+            f"{black:.4g} DN: black was subtracted, and numbers below 0 became 0."
         )
+    elif current > 0 < time and max(seen, stated) > max(noise, OTHER * min(seen, stated)):
+        found.append(
+            f"The darks of {time:.4g} s have a dark signal of {seen:.3g} DN, where the camera's "
+            f"dark current, {current:.3g} e⁻/s, gives {stated:.3g} DN: exposures may be in another "
+            "unit than seconds, the temperature another one, or a dark frame was subtracted."
+        )
+    return found
+
+
+def _pattern_in_words(
+    camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> list[str]:
+    """Return sentences on a fixed pattern that is much smaller than that of the camera. A larger
+    one may be uneven light."""
+    if measurement.bright.spatial_variance is None:
+        return []
+    found, sentences = fitted_pattern(measurement, usable), []
+    gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
+    for what, fields, seen, scale, unit, how in (
+        ("offsets", OFFSETS, found.dark, 1 / gain, " e⁻", "after a dark frame was subtracted"),
+        ("gains", GAINS, found.response, 100.0, " %", "after a division by a flat"),
+    ):
+        stated = _rms_of(camera, fields) * (1.0 if unit == " e⁻" else scale)
+        most = scale**2 * (max(seen.variance, 0.0) + PATTERN_SIGMAS * seen.noise)
+        if most < (LEAST_PATTERN * stated) ** 2:
+            sentences.append(
+                f"The {what} of the pixels differ by less than {most**0.5:.2g}{unit} rms, where "
+                f"the camera states {stated:.2g}{unit}, as {how} or in means of several pixels."
+            )
+    return sentences
+
+
+def _rms_of(camera: Sensor, names: tuple[str, ...]) -> float:
+    stated = (getattr(camera, name) for name in names)
+    return float(np.sqrt(sum(float(x) ** 2 for x in stated if x is not None)))
+
+
+def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
+    converter = measurement.converter
+    if camera.bits is None or measurement.full_scale is None or not converter.step:
+        return
+    bits, seen = float(camera.bits), bits_of(measurement.full_scale, converter)
+    if bits == seen:
+        return
+    step = converter.step
+    own = f"{seen:g}"
+    if step < 1:
+        count = round(1 / step)
+        how = (
+            f"in means of {count} frames or pixels" if count <= MOST_AVERAGED else "after division"
+        )
+        own += f" (their values are multiples of 1/{count}, as {how})"
+    elif step > 1:
+        own += f" (their values are multiples of {step:.6g})"
+    elif seen > bits:
+        own += ", as the sum of frames or pixels has, or a file whose upper bits are unused"
+    else:
+        own += ", as a copy of fewer bits has"
+    raise InputError(
+        f"{name} has {bits:g} bits, and the frames {own}; give single frames of the same "
+        "converter, or state their bits."
+    )
 
 
 @double_precision

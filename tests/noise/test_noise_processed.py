@@ -1,0 +1,164 @@
+"""What a camera predicts of frames that were processed, and of other dies of the same camera."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxvision as jv
+from fitting.noise import Camera, from_frames, predict
+from fitting.noise.prediction.section import findings
+from jaxvision.errors import InputError
+
+GAIN, EFFICIENCY, READ, BLACK, CURRENT, PRNU, DSNU = 0.4, 0.6, 5.0, 64.0, 40.0, 0.01, 2.0
+PHOTONS, SECONDS = np.linspace(600.0, 14_000.0, 8), np.linspace(0.01, 0.14, 8)
+SENSOR = jv.Sensor(
+    shot_noise=jv.PoissonShotNoise(),
+    quantum_efficiency=EFFICIENCY,
+    read_noise=READ,
+    dark_current=CURRENT,
+    prnu=PRNU,
+    dsnu=DSNU,
+    gain=GAIN,
+    offset=BLACK,
+    bits=12,
+)
+
+SENSOR_OF_UNEQUAL_PIXELS = replace(SENSOR, prnu=0.05, dsnu=20.0)
+
+
+def series(seed, process=lambda one: one(), *, gain=GAIN, size=64, light=1.0, prnu=PRNU, dsnu=DSNU):
+    """Flats and darks of 4 frames; `process` takes a function that takes the next frame."""
+    rng = np.random.default_rng(seed)
+    gains, offsets = (
+        1 + prnu * rng.normal(size=(size, size)),
+        dsnu * rng.normal(size=(size, size)),
+    )
+
+    def level(photons, seconds):
+        def frame():
+            charge = rng.poisson(EFFICIENCY * photons * gains + CURRENT * seconds)
+            charge = charge + offsets + READ * rng.normal(size=gains.shape)
+            return np.clip(np.round(gain * charge + BLACK), 0, 4095)
+
+        return [process(frame) for _ in range(4)]
+
+    flats = [level(*at) for at in zip(light * PHOTONS, SECONDS, strict=True)]
+    return flats, [level(0.0, seconds) for seconds in SECONDS]
+
+
+def predicted(flats, darks, *, bits=12, seconds=SECONDS, sensor=SENSOR):
+    made = from_frames(flats, darks, list(seconds), list(PHOTONS), camera=Camera(bits=bits))
+    return predict(sensor, made)
+
+
+def smoothed(frame):
+    return np.round(ndimage.gaussian_filter(frame(), 0.6))
+
+
+def binned(frame):
+    return np.round(frame().reshape(32, 2, 32, 2).mean((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("process", "keys", "words"),
+    [
+        (
+            lambda frame: np.round(np.mean([frame() for _ in range(4)], axis=0)),
+            {"all_noise"},
+            r"or in means of (3\.[89]|4\.0)\d* ± ",
+        ),
+        (binned, {"all_noise"}, r"or in means of (3\.[89]|4\.0)\d* ± "),
+        (
+            smoothed,
+            {"all_noise", "filter_along_rows", "filter_along_columns"},
+            "as in frames that were smoothed",
+        ),
+        (
+            lambda frame: np.round(2 * (one := frame()) - ndimage.uniform_filter(one, 3)),
+            {"all_noise", "filter_along_rows", "filter_along_columns"},
+            "as in frames that were sharpened",
+        ),
+    ],
+    ids=["averaged", "binned", "smoothed", "sharpened"],
+)
+def test_noise_that_was_filtered_is_named(process, keys, words):
+    found = predicted(*series(1, process))
+    named = {one.key for one in found.missing}
+    assert keys <= named
+    assert not {"gain", "light", "shot_noise", "black_level"} & named
+    assert any(re.search(words, one) for one in findings(found))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
+    """Means of gains and offsets of 64 x 64 pixels deviate by 1/64 of PRNU and DSNU."""
+    found = predicted(*series(10 + seed, prnu=0.05, dsnu=20.0), sensor=SENSOR_OF_UNEQUAL_PIXELS)
+    assert found.judged.missed == []
+    of_means = found.judged.camera[:16, :16]
+    signal = np.where(np.asarray(found.judged.lit.lit), found.judged.found.by_light[0], 0.0)
+    by_hand = (np.outer(signal, signal) * 0.05**2 + (GAIN * 20.0) ** 2) / 64**2
+    np.testing.assert_allclose(of_means, by_hand, rtol=1e-6)
+
+
+def test_a_gain_of_twice_the_stated_one_has_its_size():
+    """Also beside a light that is .8 of the stated one."""
+    for stated in (1.0, 1.25):
+        frames = series(2, gain=2 * GAIN, light=0.4)
+        made = from_frames(
+            *frames, list(SECONDS), list(0.4 * stated * PHOTONS), camera=Camera(bits=12)
+        )
+        told = " ".join(one.clause for one in predict(SENSOR, made).missing)
+        (size,) = re.findall(r"a gain larger by (\S+) ±", told)
+        assert float(size) == pytest.approx(100, abs=1.5)
+        assert ("less light" in told) == (stated > 1)
+
+
+def test_frames_that_were_divided_by_a_flat_are_named():
+    flats, darks = series(3)
+    gains = np.mean(flats[-1], axis=0) - np.mean(darks[-1], axis=0)
+    gains = gains / gains.mean()
+    flats = [[np.round(BLACK + (one - BLACK) / gains) for one in x] for x in flats]
+    assert any("as after a division by a flat" in one for one in findings(predicted(flats, darks)))
+
+
+def test_darks_that_were_subtracted_from_their_frames_are_named():
+    flats, darks = series(4)
+    own = [np.round(np.mean(level, axis=0)) - BLACK for level in darks]
+    flats, darks = (
+        [[one - black for one in x] for x, black in zip(levels, own, strict=True)]
+        for levels in (flats, darks)
+    )
+    (found,) = predicted(flats, darks).missing
+    assert found.key == "dark_subtraction"
+
+
+def test_what_does_not_fit_the_numbers_of_the_camera_is_said():
+    flats, darks = series(5)
+    for change, bits, words in (
+        (lambda x: x // 16, 8, "8, as a copy of fewer bits"),
+        (lambda x: 4 * x + np.arange(64) % 4, 14, "14, as the sum of frames or pixels"),
+        (lambda x: x + np.arange(64) % 4 / 4, 12, r"multiples of 1/4, as in means of 4 frames"),
+        (lambda x: 2 * (x // 2), 12, r"their values are multiples of 2"),
+    ):
+        own = [[[change(one) for one in level] for level in x] for x in (flats, darks)]
+        with pytest.raises(InputError, match=words):
+            predicted(*own, bits=bits)
+
+
+def test_exposures_in_another_unit_and_clipped_black_are_named():
+    flats, darks = series(6)
+    told = findings(predicted(flats, darks, seconds=100 * SECONDS))
+    assert any("exposures may be in another unit than seconds" in one for one in told)
+    flats, darks = ([[np.maximum(one - BLACK, 0) for one in x] for x in y] for y in (flats, darks))
+    told = findings(predicted(flats, darks))
+    assert any("black was subtracted, and numbers below 0 became 0" in one for one in told)
+
+
+def test_frames_that_are_left_out_are_said():
+    flats, darks = series(7)
+    flats[3][1] = flats[6][1]
+    told = findings(predicted(flats, darks))
+    assert any(one.startswith("flats[3][1] was left out") for one in told)
