@@ -18,6 +18,7 @@ ONCE = 1e-3  # probability that a level of a faultless series is reported
 STATED_WRONGLY = 0.02  # least relative deviation; shutters and lamps are accurate to a percent
 SHADOW = 0.005  # least deviation, rms over the frame, half the usual spread of pixel gains
 LIKE_SHOT_NOISE = 0.5  # relative variance per signal below which a level is saturated
+LIKE_BANDS = 3.0  # of the rms effect of moving bands on the mean of a level's frames
 UNLIKE = 2.0  # ratio to the scatter of the other levels, which 256 blocks determine to 5 %
 ALONE_ON_IT = 1e-3  # least assumed share of a level's deviation that remains after a fit
 CLIPPED = 1e-3  # share of the pixels at the top code
@@ -239,11 +240,14 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
                 for i in there
             ]
         )
-        chance = np.maximum(np.maximum(chance / signal, apart), 1e-9)
+        chance = chance / signal
+        # Bands are few waves, so those of all frames of a level may nearly agree by chance.
+        moving = np.mean(np.maximum(apart**2 - chance**2, 0.0)) ** 0.5
+        chance = np.maximum(np.maximum(chance, apart), 1e-9)
         values = np.stack([field.ravel() for field in fields])
         away, scatter, _ = _deleted_residuals(values, design, chance, chance)
         size = np.array([rms(own) for own in away])
-        beyond = size / np.maximum(UNLIKE * scatter, SHADOW)
+        beyond = size / np.maximum(np.maximum(UNLIKE * scatter, LIKE_BANDS * moving), SHADOW)
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 1:
             return

@@ -34,6 +34,7 @@ from .compared import (
     scaled_to_one_mean,
     trimmed_variance,
     usual_size,
+    without_lines,
 )
 from .frame import COPIED, FrameSample, OddFrames, listed
 from .moved import moved_frames
@@ -215,7 +216,7 @@ def _noise(levels: ComparedLevels) -> None:
             continue
         alike = scaled_to_one_mean(frames, None if levels.black is None else levels.black[level])
         middle = np.median(alike, axis=0)
-        variances = np.array([trimmed_variance(sample - middle) for sample in alike])
+        variances = np.array([trimmed_variance(without_lines(sample - middle)) for sample in alike])
         if not (variances > 0).all():
             continue
         logs = np.log(variances)

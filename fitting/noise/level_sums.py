@@ -110,10 +110,12 @@ LEAST_FLICKER = 1e-5  # share of a pixel's variance below which lamp flicker is 
 
 
 class Unlit(NamedTuple):
-    """Mean and temporal variance of the darks of a light level."""
+    """Mean and temporal variances of the darks of a light level."""
 
     mean: float  # DN
     variance: float  # temporal variance, DN^2
+    rows: float = 0.0  # temporal variance that the pixels of a row share, DN^2
+    columns: float = 0.0  # the same of a column, DN^2
 
 
 class ReducedLevel(NamedTuple):
@@ -209,6 +211,34 @@ class LevelSums:
         shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
 
+    def _of_bands(
+        self, average: np.ndarray, parts: TemporalVariance, of_lines: tuple[np.ndarray, np.ndarray]
+    ) -> np.ndarray | float:
+        """Return the temporal variance of each pixel, DN^2, that bands add where the light of a row
+        (or column) is uneven.
+
+        Under a flickering lamp, a rolling shutter multiplies the light of a row in a frame by 1 +
+        e. The mean of the row shows e times its mean signal, and a pixel in addition e times the
+        deviation P of its signal from this mean: e^2 P^2, which no noise shared by a row contains.
+        """
+        if self._unlit is None or min(self.live.shape) == 1:
+            return 0.0
+        added, frames = np.zeros(average.shape), len(self.shown)
+        unlit = self._unlit.rows, self._unlit.columns
+        for axis, (own, dark) in enumerate(zip(of_lines, unlit, strict=True)):
+            lines, across = self.live.shape[axis], self.live.shape[1 - axis]
+            noise = max(parts.pixels, 0.0) / across + max(dark, 0.0)
+            chance = np.sqrt(2 / (frames - 1) / lines)
+            if not np.nanmean(own) > (1 + UNEVENNESS_SIGMAS * chance) * noise:
+                continue
+            middle = np.nan_to_num(self.live.line_means(average, axis), nan=self._unlit.mean)
+            signal = middle - self._unlit.mean
+            shown = np.isfinite(own) & (signal > 0)
+            share = np.where(shown, own - noise, 0.0) / np.where(shown, signal, 1.0) ** 2
+            share, middle = (np.expand_dims(x, 1 - axis) for x in (share, middle))
+            added += share * self.live.only(average - middle) ** 2
+        return added if self.live.mean(added) > LEAST_FLICKER * parts.pixel_variance else 0.0
+
     def level(self) -> ReducedLevel:
         """Return the statistics of the added frames, at least two."""
         count, total, live = len(self.shown), self._total, self.live
@@ -217,8 +247,13 @@ class LevelSums:
         variance_of = partial(self._squares.variance, total=total, count=count)
         temporal = variance_of("pixels") / excess
         wandering = float(np.var(self._shifts, ddof=1))
-        rows, columns = (float(np.nanmean(variance_of(name))) for name in ("rows", "columns"))
-        parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
+        of_lines = variance_of("rows"), variance_of("columns")
+        lines = [float(np.nanmean(own)) for own in of_lines]
+        parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
+        bands = self._of_bands(average, parts, of_lines)
+        if not np.isscalar(bands):
+            temporal = temporal - bands
+            parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
         variance = parts.pixel_variance
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames

@@ -358,8 +358,9 @@ def _reduced(
     if dark is not None:
         nearest = np.abs(times[:, None] - np.asarray(dark.exposure)).argmin(axis=1)
         black = np.asarray(dark.mean)[nearest]
-        noise = np.asarray(dark.variance)[nearest]
-        unlit = [Unlit(*map(float, own)) for own in zip(black, noise, strict=True)]
+        of = [dark.mean, dark.variance]
+        of += [] if dark.shared is None else [*dark.shared.lines]
+        unlit = [Unlit(*own) for own in np.array(of)[:, nearest].T.tolist()]
     found = [
         _level(source, codes, entry.files, own, gone)
         for entry, own in zip(entries, unlit, strict=True)

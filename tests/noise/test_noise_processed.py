@@ -105,7 +105,7 @@ def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
 
 def test_a_gain_of_twice_the_stated_one_has_its_size():
     """Also beside a light that is .8 of the stated one."""
-    for stated in (1.0, 1.25):
+    for stated in (1.0, 1.25, 2.5):
         frames = series(2, gain=2 * GAIN, light=0.4)
         made = from_frames(
             *frames, list(SECONDS), list(0.4 * stated * PHOTONS), camera=Camera(bits=12)
@@ -113,7 +113,10 @@ def test_a_gain_of_twice_the_stated_one_has_its_size():
         told = " ".join(one.clause for one in predict(SENSOR, made).missing)
         (size,) = re.findall(r"a gain larger by (\S+) ±", told)
         assert float(size) == pytest.approx(100, abs=1.5)
-        assert ("less light" in told) == (stated > 1)
+        lost = re.findall(r"(\S+) ± \S+ % less light", told)
+        assert len(lost) == (stated > 1)
+        for one in lost:
+            assert float(one) == pytest.approx(100 * (1 - 1 / stated), abs=1.5)
 
 
 def test_frames_that_were_divided_by_a_flat_are_named():

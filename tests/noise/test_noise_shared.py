@@ -12,7 +12,7 @@ from fitting import noise
 from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.level_sums import SquareSums, fixed_variance, temporal_variance
-from fitting.noise.levels import linear_levels
+from fitting.noise.levels import linear_levels, shot_of, signal_of
 from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
 from fitting.noise.regressions import sampling_errors
@@ -229,6 +229,37 @@ def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
         only = found(7.5, 0.0)
         assert list(only) == ["rows"]
         assert abs(only["rows"].variance - (0.25 * 7.5) ** 2) < 4 * only["rows"].error
+
+
+@pytest.mark.parametrize(("count", "turned"), [(2, False), (4, True)])
+def test_bands_that_move_over_uneven_light_leave_the_gain(count, turned):
+    """Bands of 8 %, at another phase in every frame, over light that falls by 30 % to the border.
+
+    Where the light of a row is uneven, e P remains of a band e beside the mean of the row: 4 % of
+    the shot variance here."""
+    rng, side, photons = np.random.default_rng(4), 96, np.linspace(600, 8_000, 8)
+    y, x = np.mgrid[:side, :side] / side - 0.5
+    light = 1 - 0.6 * (x**2 + y**2)
+
+    def frame(mean):
+        bands = 1 + 0.08 * np.sin(2 * np.pi * (3.3 * y + rng.random()))
+        electrons = rng.poisson(mean * light * bands) + 5 * rng.standard_normal(y.shape)
+        one = np.clip(np.round(64 + 0.4 * electrons), 0, 4095)
+        return one.T if turned else one
+
+    measured = noise.from_frames(
+        [[frame(p) for _ in range(count)] for p in photons],
+        [[frame(0.0) for _ in range(count)] for _ in photons],
+        [0.01] * 8,
+        list(photons),
+        camera=Camera(bits=12),
+    )
+    assert measured.bright.left_out == ()
+    usable = linear_levels(measured)
+    measured = without_flicker(measured, extra_in_flats(measured, usable))
+    gain = np.sum(shot_of(measured)[usable]) / np.sum(signal_of(measured)[usable])
+    error = np.sqrt(2 / (count - 1) / len(usable)) / side
+    assert abs(gain / 0.4 - 1) < 3 * error
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from .moments import Expected, Lit, noise
 GAIN = "gain"
 MOST = 4  # most effects that are named
 PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
-REFINEMENTS = 3  # updates of the noise of the frames with an effect
+REFINEMENTS = 5  # updates of the prediction, and of the frames' noise, with an effect
 LEAST_SHARE = 1e4  # largest factor by which an effect may lower the variance that gives the errors
 FEWEST_AVERAGED = 1.5
 SIGNIFICANT = 2.0  # standard errors of an effect that is still named beside all others
@@ -337,7 +337,8 @@ class _Fit:
 
     def __init__(self, comparison: Comparison) -> None:
         self._comparison, self._found, self._taken = comparison, comparison.found, []
-        self._gain, self._at_stated_gain = 0.0, comparison.found
+        self._values = np.zeros(0)
+        self._with_effects(self._values)
         self._named = np.zeros(len(SCATTERS), bool)
         self._take_noise()
         most = np.log(np.sum(self._missed**2) + 1)
@@ -350,14 +351,15 @@ class _Fit:
         frames."""
         comparison = self._comparison
         self._unit = np.sqrt(noise(comparison.levels, self._found)).ravel()
-        self._missed = (comparison.measured - comparison.found.values).ravel() / self._unit
         self._known = np.eye(self._unit.size)
         self._known = self._known + comparison.camera / np.outer(self._unit, self._unit)
         squares = np.array([self._shape(one) ** 2 for one in SCATTERS])
         self._scales = np.maximum(squares.max(axis=1), 1e-300)
         self._squares = squares / self._scales[:, None]
-        shapes = [self._of_gain() if one.key == GAIN else self._shape(one) for one in self._taken]
+        shapes = [self._shape(one) for one in self._taken]
         self._columns = np.array(shapes).reshape(-1, self._unit.size).T
+        left = (comparison.measured - self._found.values).ravel() / self._unit
+        self._missed = left + self._columns @ self._values  # linear about the current sizes
 
     @property
     def is_missed(self) -> bool:
@@ -381,12 +383,12 @@ class _Fit:
     def take(self, one: Candidate, gain: float) -> Missing:
         """Add an effect to the fit, and update the noise of the frames that it changes."""
         self._taken.append(one)
+        self._values = np.append(self._values, 0.0)
         for _ in range(REFINEMENTS):
             self._take_noise()
             self._logs = self._searched(self._columns)
-            self._found = self._with_effects(
-                self._sizes(self._columns, self._covariance(self._logs))[0]
-            )
+            self._values = self._sizes(self._columns, self._covariance(self._logs))[0]
+            self._found = self._with_effects(self._values)
         self._take_noise()
         return self._missing(one, self._taken_sizes()[one.key], gain)
 
@@ -410,27 +412,22 @@ class _Fit:
                 named.append(replace(one, clause=clause))
         return tuple(named or found)
 
-    def _of_gain(self) -> np.ndarray:
-        """Return the signature of another gain beside all other effects. A gain of (1 + g) K
-        multiplies the variance by 1 + (2 + g) g."""
-        stated, other = self._comparison.found, self._at_stated_gain
-        signal = stated.signal + other.values[0] - stated.values[0]
-        noise = (2 + self._gain) * np.array([other.before_rounding, *other.values[2:]])
-        return np.concatenate([signal, *noise[: len(other.values) - 1]]) / self._unit
-
     def _with_effects(self, sizes: np.ndarray) -> Expected:
+        """Return the prediction with effects of these sizes, a gain after all others."""
         found = self._comparison.found
-        shape = found.values.shape
-        of_gain = np.array([one.key == GAIN for one in self._taken])
-        others = (self._columns @ np.where(of_gain, 0, sizes) * self._unit).reshape(shape)
-        self._at_stated_gain = replace(found, values=found.values + others)
-        self._gain = float(np.sum(sizes[of_gain]))
-        added = (self._columns @ sizes * self._unit).reshape(shape)
         lines = {"row_noise": found.rows, "column_noise": found.columns}
+        values, gain = found.values.copy(), 0.0
         for one, size in zip(self._taken, sizes, strict=True):
+            if one.key == GAIN:
+                gain = float(size)
+                continue
+            values += float(size) * self._shape_of(one).reshape(values.shape)
             if one.key in lines:
                 lines[one.key] += max(float(size), 0.0)
-        values = found.values + added
+        self._gain, self._signal = gain, found.signal + values[0] - found.values[0]
+        self._noise = np.concatenate([values[1:2] - found.rounding, values[2:]])
+        values[0] += gain * self._signal
+        values[1:] += (2 + gain) * gain * self._noise
         values[1] = np.maximum(values[1], found.values[1] / LEAST_SHARE)
         rows, columns = lines.values()
         return replace(found, values=values, rows=rows, columns=columns)
@@ -470,13 +467,21 @@ class _Fit:
 
     def _shape(self, one: Candidate) -> np.ndarray:
         """Return the signature of a candidate divided by the standard deviations of the frames'
-        noise."""
+        noise: the derivative of the prediction at the current gain."""
+        gain = 1 + self._gain
+        if one.key == GAIN:
+            return np.concatenate([self._signal, *(2 * gain * self._noise)]) / self._unit
+        factors = np.full(len(self._comparison.noise), gain**2)
+        factors[0] = gain
+        return self._shape_of(one) * np.repeat(factors, len(self._signal)) / self._unit
+
+    def _shape_of(self, one: Candidate) -> np.ndarray:
+        """Return the signature of a candidate, DN and DN^2."""
         rows = one.shape(self._comparison.found, self._comparison.lit)[
             : len(self._comparison.noise)
         ]
         none = np.zeros(self._comparison.noise.shape[1])
-        shape = np.concatenate([none if row is None else none + row for row in rows])
-        return shape / self._unit
+        return np.concatenate([none if row is None else none + row for row in rows])
 
     def _covariance(self, logs: np.ndarray) -> np.ndarray:
         return self._known + np.diag(np.exp(logs) @ self._squares)

@@ -38,7 +38,7 @@ OFFSETS, GAINS = ("dsnu", "row_dsnu", "column_dsnu"), ("prnu", "conversion_prnu"
 LEAST_PATTERN = 0.7  # of the stated rms of a fixed pattern, below which frames were corrected
 MOST_AVERAGED = 256  # frames or pixels
 CLEAR = 3.0  # standard deviations of a dark from the first code
-OTHER = 5.0  # ratio of dark signals that is named
+OTHER = 5.0  # ratio of dark signals to each other, and to the noise, that is a contradiction
 PATTERN_SIGMAS = 5.0  # standard errors of a measured pattern
 HOLD_OUT_STRIDE = 2  # one of this many levels is held out
 FEWEST_DARKS = 8  # number of darks from which darks are held out, too
@@ -57,7 +57,10 @@ class Prediction(ShownInNotebooks):
         light_error: relative error of the light of a level.
         variance_error: relative scatter of the variances for unknown reasons.
         missing: known effects that the camera lacks.
-        remarks: sentences on numbers that the camera does not state, and how this was handled.
+        remarks: sentences on numbers that the camera does not state, and how this was handled, and
+            on frames that were left out or processed.
+        cause: a sentence on numbers that contradict the camera, which replaces the search for
+            missing effects.
     """
 
     camera: str
@@ -67,6 +70,7 @@ class Prediction(ShownInNotebooks):
     variance_error: float
     missing: tuple[Missing, ...]
     remarks: tuple[str, ...] = ()
+    cause: str = ""
 
     @property
     def judged(self) -> Comparison:
@@ -159,13 +163,13 @@ def predict(
         dies=1 if draws is None else 2,
         light_error=light_error,
     )
-    darks = _darks_in_words(camera, measurement)
+    cause = _contradiction(camera, measurement)
     if not np.asarray(found.lit.lit).any():
         raise InputError(
             f"{name}: predicts every level of light at an end of its scale, but the frames have "
             f"{float(measurement.bright.mean[usable].min()):.4g} to "
             f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset"
-            f"{', and the exposures. ' + ' '.join(darks) if darks else '.'}"
+            f"{', and the exposures. ' + cause if cause else '.'}"
         )
     return Prediction(
         camera=name,
@@ -173,7 +177,8 @@ def predict(
         labels=("all levels below saturation",),
         light_error=light_error,
         variance_error=0.0,
-        missing=missing_effects(found),
+        missing=() if cause else missing_effects(found),
+        cause=cause,
         remarks=(
             *processing_in_words(measurement, usable),
             *(doubt.sentence for doubt in measurement.doubts),
@@ -181,7 +186,6 @@ def predict(
             *measurement.dark.left_out,
             *measurement.remarks,
             *_remarks(name, camera, unstated, found),
-            *darks,
             *_pattern_in_words(camera, measurement, usable),
         ),
     )
@@ -210,9 +214,10 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
     return sentences
 
 
-def _darks_in_words(camera: Sensor, measurement: PhotonTransfer) -> list[str]:
-    """Return sentences on darks whose dark current differs from that of the camera by a factor, or
-    which are clipped at the first code although those of the camera are not."""
+def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
+    """Return a sentence on darks whose dark signal differs from that of the camera by a large
+    factor, or which are clipped at the first code although those of the camera are not; empty if
+    there is no such contradiction."""
     dark, converter = measurement.dark, measurement.converter
     step, gain = converter.step or 1.0, 1.0 if camera.gain is None else float(camera.gain)
     black = converter.origin + step * (0.0 if camera.offset is None else float(camera.offset))
@@ -221,19 +226,19 @@ def _darks_in_words(camera: Sensor, measurement: PhotonTransfer) -> list[str]:
     noise = float(np.sqrt(dark.variance[longest]))
     current = 0.0 if camera.dark_current is None else float(camera.dark_current)
     seen, stated = mean - black, step * gain * current * time
-    near, found = CLEAR * max(noise, step), []
+    near = CLEAR * max(noise, step)
     if mean - converter.origin < near < black - converter.origin and noise > 0:
-        found.append(
+        return (
             f"The darks have a mean of {mean:.3g} DN, where the camera has a black level of "
             f"{black:.4g} DN: black was subtracted, and numbers below 0 became 0."
         )
-    elif current > 0 < time and max(seen, stated) > max(noise, OTHER * min(seen, stated)):
-        found.append(
+    if current > 0 < time and max(seen, stated) > OTHER * max(noise, min(seen, stated)):
+        return (
             f"The darks of {time:.4g} s have a dark signal of {seen:.3g} DN, where the camera's "
             f"dark current, {current:.3g} e⁻/s, gives {stated:.3g} DN: exposures may be in another "
             "unit than seconds, the temperature another one, or a dark frame was subtracted."
         )
-    return found
+    return ""
 
 
 def _pattern_in_words(

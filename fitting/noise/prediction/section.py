@@ -102,6 +102,8 @@ def explanations(prediction: Prediction) -> list[str]:
     if not more or _scatter_alone(prediction):
         return sentences
     sentences.append(f"The {listed([*more])} differ significantly ({_chances(more)}).")
+    if prediction.cause:
+        return [*sentences, prediction.cause]
     for one in prediction.missing:
         first = one is prediction.missing[0]
         sentences.append(
