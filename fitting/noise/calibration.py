@@ -340,9 +340,7 @@ def _likelihood_estimates(
 ) -> tuple[Estimate, ...]:
     """Return the data sheet of the chosen model, with errors by the delta method (Laplace) or from
     the posterior draws (emcee)."""
-    linearity = np.zeros(fit.data.lit.size, bool)
-    linearity[: len(usable)] = np.asarray(within.linearity)[usable]
-    args = (fit.space, fit.data, jnp.asarray(linearity))
+    args = (fit.space, fit.data, _range_of_linearity(fit, within, usable))
     if posterior.sampled:
         return _drawn_estimates(posterior, within, args)
     vector = jnp.asarray(fit.optimum.vector)
@@ -355,6 +353,26 @@ def _likelihood_estimates(
             variance += float(at_saturation * within.saturation_width) ** 2 / 24
         found.append(sheet_estimate(BY_NAME[name], float(value), variance**0.5, LIKELIHOOD))
     return tuple(found)
+
+
+def _range_of_linearity(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> Array:
+    """Return the mask of the fit's levels that enter the standard's linearity error."""
+    linearity = np.zeros(fit.data.lit.size, bool)
+    linearity[: len(usable)] = np.asarray(within.linearity)[usable]
+    return jnp.asarray(linearity)
+
+
+def steady_linearity(calibration: NoiseCalibration) -> tuple[float, float]:
+    """Return the linearity errors LE_min and LE_max, %, by a fit that has both a curved response
+    and a drifting light, if the light is steady: at the most likely parameters without a drift."""
+    fit = calibration.chosen
+    vector, place = np.array(fit.optimum.vector), names(fit.space).index(LIGHT_DRIFT.name)
+    of_drift = fit.covariance[:, place]
+    vector -= of_drift / of_drift[place] * vector[place]
+    linearity = _range_of_linearity(fit, calibration.within, calibration.usable)
+    args = (fit.space, fit.data, linearity)
+    values, _ = _sheet_and_slopes(jnp.asarray(vector), calibration.within.saturation, args)
+    return float(values["linearity_error_min"]), float(values["linearity_error_max"])
 
 
 def widened(estimate: Estimate, unequal: float) -> Estimate:
@@ -397,8 +415,8 @@ def _means(values: dict[str, Array], data: NoiseData) -> Array:
 def _widened_by_lamp(
     sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
 ) -> tuple[Estimate, ...]:
-    """Return the data sheet with the error of a drifting lamp added to the figures per photon, the
-    only figures that it affects."""
+    """Return the data sheet with the error of a drifting lamp added to the figures per photon. The
+    linearity errors of a fit with a drift have its uncertainty already."""
     relative = 0.0 if fit is None else lamp_error(fit)
     if not relative:
         return sheet
@@ -407,9 +425,6 @@ def _widened_by_lamp(
         if one.name in NEED_PHOTONS and one.value is not None:
             error = float(np.hypot(one.standard_error or 0.0, relative * one.value))
             one = sheet_estimate(BY_NAME[one.name], one.value, error, one.method)
-        elif one.name.startswith("linearity_error") and one.value is not None:
-            why = "a light that drifts over the series looks the same"
-            one = not_determined(BY_NAME[one.name], why, method=LIKELIHOOD)
         found.append(one)
     return tuple(found)
 

@@ -119,6 +119,17 @@ class Drifting(NamedTuple):
 
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
     """Return the drift of the flats' signal; None if it is not significant."""
+    found = trend_of(measurement, usable)
+    if found is None or abs(found.share) < found.error * stdtrit(
+        len(usable) - 1, 1 - CHANCE_OF_DRIFT / 2
+    ):
+        return None
+    return found
+
+
+def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
+    """Return the mean change of the flats' signal from frame to frame within the levels; None where
+    it is unknown."""
     bright = measurement.bright
     if bright.trend is None or len(usable) < FEWEST_DRIFTING:
         return None
@@ -134,8 +145,6 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     degrees = len(usable) - 1
     scatter = max(float(np.sum(weights * (shares - share) ** 2)) / degrees, 1.0)
     error = float(np.sqrt(scatter / np.sum(weights)))
-    if abs(share) < stdtrit(degrees, 1 - CHANCE_OF_DRIFT / 2) * error:
-        return None
     return Drifting(share, error, int(frames.sum()))
 
 

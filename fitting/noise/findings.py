@@ -12,9 +12,9 @@ from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from ..report.sentences import Finding, Numbers, said
 from .brighter_fatter import own_area_change
-from .calibration import NoiseCalibration, lamp_error
+from .calibration import NoiseCalibration, lamp_error, steady_linearity
 from .counted import SUB_ELECTRON
-from .doubts import drifting, printed_times
+from .doubts import drifting, printed_times, trend_of
 from .emva1288 import is_floored, least_dark_variance
 from .levels import PhotonTransfer, signal_of
 from .neighbours import are_known
@@ -153,11 +153,24 @@ def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
     if own == "scatter":
         return {"error": 100 * error}
     drift = _shown(calibration, "light_drift")
-    return {
+    found: Numbers = {
         "way": "rises" if drift[0] > 0 else "falls",
         "change": format_with_error(100 * abs(drift[0]), 100 * drift[1]),
         "error": 100 * error,
     }
+    if kind == "either":
+        found["low"], found["high"] = steady_linearity(calibration)
+        trend = trend_of(calibration.measurement, calibration.usable)
+        found["within"] = (
+            ""
+            if trend is None
+            else (
+                f" Within levels, the signal changes by {100 * trend.share:.2g} ± "
+                f"{100 * trend.error:.1g} % from one frame to the next: a lamp that drifts at a "
+                "constant rate shows there, too, one that changes between levels alone does not."
+            )
+        )
+    return found
 
 
 def _dim(calibration: NoiseCalibration) -> Numbers | None:
@@ -696,8 +709,10 @@ FINDINGS = (
         "drift or curve",
         partial(_lamp, "either"),
         "Signal over light changes with light. A curved response and a light that drifts over the "
-        "series explain it about equally well, so both were fitted, and no linearity error is "
-        "given. Take the levels in random order, or measure the light of every level.",
+        "series explain it about equally well, so both were fitted: the errors of the figures, "
+        "of the linearity error too, include that of the choice. If the light is steady, the "
+        "linearity error is {low:.2g} to {high:.2g} %; if the response is linear, the light "
+        "drifts.{within} Take the levels in random order, or measure the light of every level.",
     ),
     Finding(
         "offset of the exposure",

@@ -13,6 +13,7 @@ from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
 from fitting.noise.across_settings.prediction import predict_settings
+from fitting.noise.calibration import steady_linearity
 from fitting.noise.doubts import drifting
 from fitting.noise.emva1288 import evaluate, ranges
 from fitting.noise.findings import _glow, _periodic
@@ -498,9 +499,29 @@ def test_a_lamp_that_drifts_from_level_to_level_is_no_curved_response(lamp, key)
         low, high = found.shown[name].interval_95
         assert low < truth < high, found.shown[name]
     linearity = found.shown.get("linearity_error_max")
-    assert linearity is None or linearity.value is None
+    assert (linearity is None) == (key == "drift of the light")
+    if linearity is not None:
+        assert linearity.interval_95[0] < 0.01  # %; an extreme of deviations is at least 0
     assert told(found, key)
     assert not told(found, "compression")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bend", [0.015, 0.02])
+def test_a_curve_that_may_be_a_drift_has_a_linearity_error_under_a_steady_lamp(bend):
+    """Linearity errors by hand: deviations from a line with weights 1 / signal^2."""
+    found = under_lamp(np.random.default_rng(0), np.ones(10), bend=bend)
+    light = np.linspace(900, 9000, 10)
+    signal = light * (1 - bend * light / light[-1])
+    use = np.asarray(found.within.linearity)
+    light, signal = light[use], signal[use]
+    line = np.polynomial.Polynomial.fit(light, signal, 1, w=1 / signal)(light)
+    by_hand = 100 * np.array([(signal / line - 1).min(), (signal / line - 1).max()])
+    assert told(found, "drift or curve")
+    np.testing.assert_allclose(steady_linearity(found), by_hand, rtol=0.06)
+    for name, truth in zip(("linearity_error_min", "linearity_error_max"), by_hand, strict=True):
+        low, high = found.shown[name].interval_95
+        assert low < truth < high
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
 from .moments import Expected, Lit, noise
 
-GAIN = "gain"
+GAIN, BEHIND_GAIN = "gain", ("black_level", "read_noise")  # the latter in DN
 MOST = 4  # most effects that are named
 PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
 REFINEMENTS = 5  # updates of the prediction, and of the frames' noise, with an effect
@@ -413,21 +413,23 @@ class _Fit:
         return tuple(named or found)
 
     def _with_effects(self, sizes: np.ndarray) -> Expected:
-        """Return the prediction with effects of these sizes, a gain after all others."""
+        """Return the prediction with effects of these sizes, a gain after those before it."""
         found = self._comparison.found
         lines = {"row_noise": found.rows, "column_noise": found.columns}
-        values, gain = found.values.copy(), 0.0
+        values, behind, gain = found.values.copy(), np.zeros_like(found.values), 0.0
         for one, size in zip(self._taken, sizes, strict=True):
             if one.key == GAIN:
                 gain = float(size)
                 continue
-            values += float(size) * self._shape_of(one).reshape(values.shape)
+            total = behind if one.key in BEHIND_GAIN else values
+            total += float(size) * self._shape_of(one).reshape(values.shape)
             if one.key in lines:
                 lines[one.key] += max(float(size), 0.0)
         self._gain, self._signal = gain, found.signal + values[0] - found.values[0]
         self._noise = np.concatenate([values[1:2] - found.rounding, values[2:]])
         values[0] += gain * self._signal
         values[1:] += (2 + gain) * gain * self._noise
+        values += behind
         values[1] = np.maximum(values[1], found.values[1] / LEAST_SHARE)
         rows, columns = lines.values()
         return replace(found, values=values, rows=rows, columns=columns)
@@ -473,6 +475,8 @@ class _Fit:
             return np.concatenate([self._signal, *(2 * gain * self._noise)]) / self._unit
         factors = np.full(len(self._comparison.noise), gain**2)
         factors[0] = gain
+        if one.key in BEHIND_GAIN:
+            factors[:] = 1.0
         return self._shape_of(one) * np.repeat(factors, len(self._signal)) / self._unit
 
     def _shape_of(self, one: Candidate) -> np.ndarray:
