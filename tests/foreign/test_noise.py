@@ -221,7 +221,7 @@ def test_rows_that_flicker_by_a_tenth_of_a_percent_leave_the_sheet():
         system_gain=K, quantum_efficiency=50.0, read_noise=4.0, dsnu=1.0, prnu=1.0,
     )  # fmt: skip
     assert list(calibration.flicker) == ["rows"]
-    assert "It was taken out, row by row" in section(calibration).findings[0]
+    assert "follow from the independent noise of pixels" in section(calibration).findings[0]
 
 
 ROW, COLUMN = np.indices(SHAPE)
