@@ -1,10 +1,13 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+
+from jaxvision.errors import InputError
 
 from ..inference.clustering import Robustness, curvature_stretch
 from ..inference.emcee_run import Emcee
@@ -12,11 +15,12 @@ from ..inference.given import require_kind
 from ..inference.parameters import names
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
-from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, robust
+from ..reflectance.from_images.calibration import CORRELATED, ENCODED, NO_GAMMA, encoded_fit
+from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, fit_channel, robust
 from ..reflectance.from_images.optimum import weighed
 from ..reflectance.from_images.pixel_area import recognise_points
 from ..reflectance.from_images.read import Photographs
-from ..reflectance.from_images.samples import View, select
+from ..reflectance.from_images.samples import View, cells_of, select
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.from_images.signal import Form, parameter_space
 from ..reflectance.models import check_index, has_lobe
@@ -97,9 +101,13 @@ def calibrate(
     kind, source = Photographs, "from_photographs"
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
-    form = Form(model, free_gamma=fit_gamma, index=index)
     observation = without_strangers(measurement)
     channels = len(observation.channels)
+    brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
+    if not fit_gamma and _encoded(observation, brightest, Form(model, index=index)):
+        fit_gamma = True
+        observation = replace(observation, findings=(ENCODED, *observation.findings))
+    form = Form(model, free_gamma=fit_gamma, index=index)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 
     def done(steps: int) -> None:
@@ -107,7 +115,6 @@ def calibrate(
             progress(len(STEPS) * len(fits) + steps, len(STEPS) * channels)
 
     done(0)
-    brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
     first = fit_turned(observation, brightest, form)
     observation, as_areas = _recognised(observation, brightest, first), observation
     for channel in range(channels):
@@ -127,6 +134,22 @@ def calibrate(
         fits.append(fit)
         done(0)
     return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
+
+
+def _encoded(observation: Photographs, channel: int, form: Form) -> bool:
+    """Return whether least-squares fits of one channel show that its files are encoded. A curve
+    other than a pure gamma is refused: black level and exponent would describe it with a biased
+    surface.
+    """
+    chosen = select(observation, held_out=False, form=form)
+    cells, view = cells_of(observation, chosen), View(observation, channel, chosen)
+    matt: Sequence[Model] = ("oren-nayar", "torrance-sparrow")
+    models = (form, *(replace(form, model=name) for name in matt if name != form.model))
+    linear = (fit_channel(view, one, cells) for one in models)
+    found = encoded_fit(view, form, linear, cells)
+    if found is not None and found.design_effect > CORRELATED:
+        raise InputError(f"{NO_GAMMA}.")
+    return found is not None
 
 
 def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:

@@ -9,6 +9,7 @@ from fitting import joint, reflectance
 from fitting.checks.reflectance import GAIN, RADIUS, SIZE, WHITE, Sphere, directions, photographs
 from fitting.inference.estimates import find
 from fitting.rig import Camera, SphereGeometry
+from jaxvision.errors import InputError
 
 BALL = SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS)
 
@@ -34,6 +35,60 @@ def test_a_camera_that_clips_below_full_scale_is_noticed(seed):
     for clear in (images, 60 + np.round((images - 60) / 16)):
         assert of(clear).clip == 4095
     assert of(np.minimum(images, 2000), saturation=3000).clip == 3000
+
+
+def encoded_ball(curve, seed=0):
+    """A glossy ball in 8 bits behind a tone curve, sampled at pixel centres."""
+    place = (np.arange(SIZE) - (SIZE - 1) / 2) / RADIUS
+    x, y = np.meshgrid(place, -place)
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    normals, wi = np.stack([x, y, z], axis=-1) * (z > 0)[..., None], directions(12)
+    cosine = np.einsum("hwc,lc->lhw", normals, wi)
+    mirrored = np.maximum(2 * cosine * normals[..., 2] - wi[:, None, None, 2], 0)
+    light = np.where(cosine > 0, 0.4 * cosine + 0.45 * mirrored**40, 0)
+    noise = 0.003 * np.sqrt(light + 0.01)
+    light = light + noise * np.random.default_rng(seed).standard_normal(light.shape)
+    return np.clip(np.round(255 * curve(np.maximum(light, 0))), 0, 255)
+
+
+def of_8_bits(images, **known):
+    return joint.from_photographs(
+        list(images),
+        directions(12),
+        camera=Camera(bits=8, black_level=0, **known),
+        sphere=BALL,
+        intensities=np.full(12, 255.0),
+    )
+
+
+def srgb(x):
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_gamma_that_nobody_stated_is_fitted(seed):
+    """Taken as linear, the diffuse term was .78 +- .02 for .4."""
+    images = encoded_ball(lambda x: x ** (1 / 2.2), seed)
+    found = reflectance.calibrate(of_8_bits(images), model="phong").section
+    assert any("taken as encoded" in s for s in found.findings)
+    for name, truth in {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0, "gamma": 2.2}.items():
+        low, high = find(found.estimates, name).interval_95
+        assert low < truth < high < 1.2 * low
+    linear = reflectance.calibrate(of_8_bits(encoded_ball(lambda x: x)), model="phong").section
+    assert not any("taken as encoded" in s for s in linear.findings)
+    stated = reflectance.calibrate(of_8_bits(images, gamma=1.0), model="phong").section
+    assert not any("taken as encoded" in s for s in stated.findings)
+
+
+@pytest.mark.slow
+def test_pictures_in_srgb_have_no_numbers():
+    observation = of_8_bits(encoded_ball(srgb))
+    found = reflectance.calibrate(observation, model="phong").section
+    assert all(estimate.value is None for estimate in found.estimates)
+    assert "not by a pure gamma" in find(found.estimates, "diffuse").reason
+    with pytest.raises(InputError, match="not by a pure gamma"):
+        joint.calibrate(observation)
 
 
 @pytest.mark.slow

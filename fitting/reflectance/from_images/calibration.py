@@ -1,7 +1,7 @@
 """Fit reflectance models to the photographs of a rig, and find their unidentifiable parameters."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,16 +20,30 @@ from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
-from .comparison import ModelScore, compare
+from .comparison import ModelScore, compare, relative_rms
 from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, predicted_image
 from .pixel_area import recognise_points
 from .read import Photographs
-from .samples import Selection, View, cells_of, predict, select
+from .samples import Grouping, Selection, View, cells_of, predict, select
 from .shading_check import without_strangers
 from .signal import Form, parameter_space
 
 FEWEST_SAMPLES = 50
 FEWEST_IN_HIGHLIGHT = 6.0  # samples that determine size, height and width of a highlight
+CURVED, ENCODING = (
+    0.01,
+    1.4,
+)  # relative error of linear models, and least exponent, of encoded files
+ENCODED = (
+    "The files are taken as encoded, with an exponent that is fitted, although the rig states no "
+    "gamma: no model of linear files describes them half as well. State camera.gamma where it is "
+    "known (1 for linear files)."
+)
+NO_GAMMA = (
+    "the files seem to be encoded, and not by a pure gamma (sRGB pictures are not): decode them, "
+    "or state camera.gamma"
+)
+CORRELATED = 1.5  # design effect from which a pure gamma does not describe encoded files
 NEGLIGIBLE = 40.0  # fall of ln k_s after which no highlight is left
 USUAL: tuple[Model, ...] = (
     "lambert",
@@ -128,7 +142,7 @@ def calibrate(
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
     check_index(index)
-    observation = without_strangers(observation)
+    given, observation = observation, without_strangers(observation)
     forms: dict[Model, Form] = {
         name: Form(name, ambient, fit_gamma, index)
         for name in MODELS
@@ -160,11 +174,11 @@ def calibrate(
         return dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
 
     every = range(len(observation.channels))
+    brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
     fits: dict[Model, tuple[ChannelFit, ...]]
     if observation.within is None:
         fits = fit_models(observation, every)
     else:
-        brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
         first = fit_models(observation, [brightest])
         fit = max((of_model[0] for of_model in first.values()), key=lambda x: x.log_likelihood)
         observation = recognise_points(observation, fit.vector, fit.samples, fitted.light)
@@ -178,6 +192,22 @@ def calibrate(
                 name: (*others[:brightest], *first[name], *others[brightest:])
                 for name, others in rest.items()
             }
+    linear = [of_model[brightest] for of_model in fits.values()]
+    view = View(observation, brightest, fitted)
+    if not fit_gamma and encoded_fit(view, forms[model], linear, cells) is not None:
+        found = calibrate(
+            replace(given, findings=(ENCODED, *given.findings)),
+            model=model,
+            compare_all=compare_all,
+            index=index,
+            sampling=sampling,
+            seed=seed,
+            ambient=ambient,
+            fit_gamma=True,
+            minimum_cosine=minimum_cosine,
+            progress=progress,
+        )
+        return _without_curved(found)
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)
@@ -197,6 +227,37 @@ def calibrate(
         held_out=held_out,
         minimum_cosine=minimum_cosine,
     )
+
+
+def encoded_fit(
+    view: View, form: Form, linear: Iterable[ChannelFit], cells: Grouping
+) -> ChannelFit | None:
+    """Return the fit with a free exponent if images without a stated gamma are encoded: with an
+    exponent far from 1, the model errs less than half as much as every model of linear files. A
+    rough surface, whose shading is flat too, has models of its own among the latter.
+    """
+    if view.observation.camera.gamma is not None:
+        return None
+    least = np.inf
+    for fit in linear:
+        least = min(least, relative_rms(fit.by_light) or 0.0)
+        if least < CURVED:
+            return None
+    trial = fit_channel(view, replace(form, free_gamma=True), cells)
+    closer = (relative_rms(trial.by_light) or 0.0) < least / 2
+    return trial if trial.converged and closer and trial.natural[-1] > ENCODING else None
+
+
+def _without_curved(found: ReflectanceCalibration) -> ReflectanceCalibration:
+    """Return a calibration of encoded images without the numbers of channels in which a pure gamma
+    leaves correlated residuals, as it does for sRGB pictures: their error is in no interval."""
+    curved = [fit for fit in found.reported if fit.design_effect > CORRELATED]
+    names = [parameter.name for parameter in parameter_space(found.reported[0].requested)]
+    reasons = found.open_parameters | {
+        fit.channel: dict.fromkeys(names, NO_GAMMA) for fit in curved
+    }
+    kept = {name: p for name, p in found.posteriors.items() if not reasons[name]}
+    return replace(found, open_parameters=reasons, posteriors=kept)
 
 
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
