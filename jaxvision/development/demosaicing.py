@@ -370,6 +370,8 @@ def _per_image(
             f"raw must be (..., h, w) with at least a tile of {tile} pixels, got shape "
             f"{planes.shape}."
         )
+    if 0 in planes.shape:
+        return jnp.zeros((*planes.shape, 1 + max(map(max, pattern))), planes.dtype)
     if planes.dtype.itemsize < 4:  # half precision is too small for sums of codes
         return _per_image(demosaic_plane, planes.astype(jnp.float32), pattern).astype(planes.dtype)
     for _ in range(planes.ndim - 2):

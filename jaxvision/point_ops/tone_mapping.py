@@ -77,11 +77,13 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
         (h, w) relative.
 
     Raises:
-        ValueError: for a key of 0 or less.
+        ValueError: for a key of 0 or less, and a picture without pixels.
 
     Source: Reinhard et al. 2002, equations 1 and 2.
     """
     luminance = as_relative(luminance)
+    if luminance.size == 0:
+        raise ValueError(f"luminance must have at least one pixel, got shape {luminance.shape}.")
     known = jnp.isfinite(luminance)
     relative = luminance / magnitude(jnp.where(known, luminance, 0), axis=None)
     of_black = smallest_divisor(relative.dtype) ** 2

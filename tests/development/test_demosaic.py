@@ -173,6 +173,15 @@ def test_the_names_of_the_bands_do_not_matter():
     np.testing.assert_array_equal(demosaic(CODES, ((2, 0), (0, 1))), usual[..., [1, 2, 0]])
 
 
+@pytest.mark.parametrize("method", ["bilinear", "malvar", "menon", "normalised"])
+def test_no_pictures_are_none(method):
+    for shape in ((0, 6, 8), (2, 0, 6, 8)):
+        assert demosaic(np.zeros(shape, np.float32), bayer("RGGB"), method=method).shape == (
+            *shape,
+            3,
+        )
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("method", ["malvar", "menon", "normalised"])
 def test_a_batch_is_a_loop_in_any_precision(method):
