@@ -21,7 +21,7 @@ from fitting.noise.levels import knee_of, linear_levels
 from fitting.noise.live_pixels import LivePixels, hits
 from fitting.noise.neighbours import COPIES, above_dark
 from fitting.noise.periodic import periodic_in_words, periodic_structure
-from fitting.noise.quantised import quantised_moments, window_for
+from fitting.noise.quantised import _sums_at_nodes, quantised_moments, window_for
 from fitting.noise.raw_frames import combs, processing_in_words
 from fitting.noise.section import section
 from fitting.noise.sensor import bits_of, fitted_sensor
@@ -87,6 +87,15 @@ def test_rounded_moments_of_unequal_pixels_are_those_of_a_sum_over_pixels():
     np.testing.assert_allclose(
         found.uneven, (variance - variance @ weight) ** 2 @ weight, atol=1e-6
     )
+
+
+@pytest.mark.parametrize(("frequencies", "nodes", "turn"), [(363, 513, 0.004), (6, 3, 0.3)])
+def test_sums_over_frequencies_at_the_offsets_are_those_of_a_product(frequencies, nodes, turn):
+    rng, places = np.random.default_rng(0), np.arange(nodes) - nodes // 2
+    summands = rng.normal(size=frequencies) + 1j * rng.normal(size=frequencies)
+    by_hand = summands @ np.exp(1j * turn * np.outer(np.arange(frequencies), places))
+    found = _sums_at_nodes(jnp.asarray(summands), jnp.asarray(turn), nodes)
+    np.testing.assert_allclose(found, by_hand, atol=1e-12 * np.abs(by_hand).max())
 
 
 @pytest.mark.slow
@@ -178,7 +187,7 @@ def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
     assert_true(estimates(calibration), read_noise=0.8, dsnu=1.0, system_gain=16 * K)
     told = " ".join(section(calibration).findings)
     assert "Dark variance is below 61.4 DN²" in told
-    assert "Black is clipped or read noise is too small" in told
+    assert "Black is clipped, or read noise is too small" in told
     sensor = fitted_sensor(calibration)[0]
     assert sensor.bits == pytest.approx(12)
     assert float(sensor.gain) == pytest.approx(K, rel=0.02)
