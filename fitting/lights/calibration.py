@@ -329,6 +329,18 @@ def _locate_by_shading(
             "black (median). This was subtracted from all numbers. Camera.black_level is wrong, or "
             "the room was not dark.",
         )
+    if found.tilt is not None:
+        moved = to_four * np.linalg.norm(found.tilt)  # in any direction: its shape is not known
+        shared = shared + np.einsum("lio,mjo->limj", moved, moved)
+        turn = np.degrees(np.median(np.linalg.norm((to_four @ found.tilt)[:, :3], axis=1)))
+        low, high = int(np.nanargmin(found.unlit)), int(np.nanargmax(found.unlit))
+        findings += (
+            "Pixels that face away from the lights are brighter on one side of the ball: "
+            f"{found.unlit[low]:.4g} DN above black in {names[low]}, {found.unlit[high]:.4g} DN in "
+            f"{names[high]}. Room light does this, and an image of another black level. It would "
+            f"turn the directions by {turn:.2g} degrees (median), which their standard deviations "
+            "include.",
+        )
     off = np.abs(found.values - outline.values) / np.sqrt(np.diag(outline.covariance))
     if off.max() > CONTRADICTED:
         findings += (

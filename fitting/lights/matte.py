@@ -16,7 +16,8 @@ response that is not linear and a surface that is not Lambertian change it from 
 absorbs most of their residuals if p is fixed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,6 +34,7 @@ FEWEST = 50  # pixels
 STEP = 1e-3  # pixels
 UNLIT = 0.1  # -n.l of pixels that should read black
 SMALL = 0.002  # of the largest signal: a reading of the unlit side too small to matter
+SHOWN = 50.0  # chi-square of three numbers from which room light is called uneven
 SECTORS, RINGS = 8, 3
 CLEAR = 5.0  # standard errors from which the power differs from 1
 POWERS = 0.4, 2.5  # range of the power
@@ -54,6 +56,10 @@ class Shading:
         power: fitted power of n.l, 1 for Lambert's law.
         power_sd: its standard error.
         moved: (lights, 3) change of g if the power is free; None if it does not differ from 1.
+        tilt: (3,) change of every g by room light that is brighter on one side of the ball, as the
+            unlit pixels show it; None if it is small.
+        unlit: (lights,) level of the unlit pixels under each light, DN above black; NaN where they
+            are few.
     """
 
     values: Float[np.ndarray, "3"]
@@ -67,6 +73,8 @@ class Shading:
     power: float = 1.0
     power_sd: float = 0.0
     moved: Float[np.ndarray, "lights 3"] | None = None
+    tilt: Float[np.ndarray, " 3"] | None = None
+    unlit: Float[np.ndarray, " lights"] = field(default_factory=lambda: np.zeros(0))
 
 
 def shading_of(
@@ -82,10 +90,11 @@ def shading_of(
     The level of the ball's unlit side, due to a wrong black level or room light, is subtracted.
     """
     found = _shading(signals, ball, clip, outline, names)
-    floor = _floor(signals, ball, found, outline)
+    floor, seen = _unlit_side(signals, ball, found, outline)
     if floor != 0:
         signals, clip = signals - floor, clip - floor
-        found = replace(_shading(signals, ball, clip, outline, names), floor=floor)
+        found = _shading(signals, ball, clip, outline, names)
+    found = replace(found, floor=floor, **seen)
     free = _shading(signals, ball, clip, outline, names, free_power=True)
     found = replace(found, power=free.power, power_sd=free.power_sd)
     if not abs(free.power - 1) > CLEAR * free.power_sd:
@@ -93,14 +102,14 @@ def shading_of(
     return replace(found, moved=free.g - found.g)
 
 
-def _floor(
+def _unlit_side(
     signals: Float[np.ndarray, "lights h w"],
     ball: Bool[np.ndarray, "h w"],
     found: Shading,
     outline: Outline,
-) -> float:
-    """Return the level of the unlit side, where n.l < 0, in DN; 0 if it is small or within its
-    standard error.
+) -> tuple[float, dict[str, Any]]:
+    """Return the level of the unlit side, where n.l < 0, in DN, and `tilt` and `unlit` of
+    `Shading`. The level is 0, and the tilt None, if it is small or within its standard error.
     """
     rows, columns = np.nonzero(ball)
     pixels = np.stack([columns, rows], axis=1).astype(float)
@@ -111,14 +120,24 @@ def _floor(
     readings = signals[:, rows[inner], columns[inner]]
     kept = unlit.sum(axis=1) >= FEWEST
     if not kept.any():
-        return 0.0
-    of_light = np.array(
-        [np.median(line[at]) for line, at in zip(readings[kept], unlit[kept], strict=True)]
-    )
-    floor, largest = float(np.median(of_light)), float(size.max())
+        return 0.0, {}
+    of_light = np.full(len(readings), np.nan)
+    of_light[kept] = [
+        np.median(line[at]) for line, at in zip(readings[kept], unlit[kept], strict=True)
+    ]
+    floor, largest = float(np.nanmedian(of_light)), float(size.max())
     spread = 1.4826 * float(np.median(np.abs(readings[kept][unlit[kept]] - floor)))
     sd = 1.2533 * spread / np.sqrt(unlit[kept].sum())
-    return floor if abs(floor) > max(4 * sd, SMALL * largest) else 0.0
+    light, pixel = np.nonzero(unlit & kept[:, None])
+    design = np.column_stack([np.ones(len(pixel)), normals[pixel]])
+    room = np.linalg.lstsq(design, readings[light, pixel], rcond=None)[0]
+    rest = readings[light, pixel] - design @ room
+    covariance = np.linalg.pinv(design.T @ design)[1:, 1:] * max(np.var(rest), 1e-12)
+    clear = room[1:] @ np.linalg.pinv(covariance) @ room[1:] > SHOWN
+    large = np.linalg.norm(room[1:]) > SMALL * largest
+    tilt = room[1:] if clear and large else None
+    absent = not abs(floor) > max(4 * sd, SMALL * largest)
+    return 0.0 if absent else floor, {"tilt": tilt, "unlit": of_light}
 
 
 def _shading(
