@@ -83,9 +83,7 @@ def length(blocks: Sequence[Block]) -> int:
 
 
 def next_length(done: int, size: int, ceiling: int) -> int:
-    """Return the number of steps of the next block. The block ends at the next multiple of its size
-    or at the largest number of steps, whichever comes first.
-    """
+    """Return the number of steps up to the next multiple of the block size, or to the last step."""
     return min(size - done % size, ceiling - done)
 
 

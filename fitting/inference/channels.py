@@ -172,9 +172,7 @@ def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
 
 
 def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
-    """Compute start values of every channel from its data. A shared parameter starts at the median
-    over channels.
-    """
+    """Compute starts of every channel from its data; a shared one is the median over channels."""
 
     def start(data: Any, inputs: Any) -> Mapping[str, Any]:
         def one(data: Any, inputs: Any) -> Mapping[str, Any]:

@@ -191,18 +191,14 @@ def cluster_robust(
 
 
 def _common(*levels: np.ndarray) -> np.ndarray:
-    """Number the intersections of several levels' clusters, and return (samples,) the number for
-    each sample.
-    """
+    """Number the intersections of several levels' clusters, (samples,)."""
     return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
 def _clustering(
     whitened: np.ndarray, leverage: np.ndarray, cluster: np.ndarray, from_data: np.ndarray
 ) -> _Clustering:
-    """Return the information shares A_g of the clusters that occur, their corrections B_g, and
-    V.
-    """
+    """Return the shares A_g, the corrections B_g and V of the clusters that occur."""
     count = len(whitened)
     present = np.bincount(cluster) > 0
 

@@ -83,9 +83,7 @@ def identifiability(
 
 
 def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:
-    """Return the relative change of each parameter per unit of its unconstrained value; infinite if
-    unknown.
-    """
+    """Return d ln(value) / d(unconstrained value) of each parameter; infinite if unknown."""
     if vector is None:
         free = [p.transform == "log" and scaled_ends(p) == (-np.inf, np.inf) for p in space]
         return np.where(free, 1.0, np.inf)

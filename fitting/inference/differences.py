@@ -30,9 +30,7 @@ _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # shares of a step that are tried
 
 
 def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
-    """Test the gradient at an optimum by finite differences. If the gradient is incomplete, return
-    the optimum found by finite differences.
-    """
+    """Return the optimum, found anew by finite differences if its gradient is incomplete."""
     squares = problem.likelihood.least_squares and problem.stream is None
     if not squares or not np.isfinite(optimum.information).all():
         return optimum
@@ -57,9 +55,7 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
-    """Return the lowest point reached by Gauss-Newton steps with finite differences and by steps
-    along the axes.
-    """
+    """Return the lowest point of Gauss-Newton steps by differences and of steps along the axes."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
@@ -162,9 +158,7 @@ def _compared(
 def _differenced(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> tuple[Array, Array, Array]:
-    """Compute cost, gradient and curvature by central differences, in the form in which `squares`
-    returns them.
-    """
+    """Compute the result of `squares` by central differences."""
 
     residuals = partial(least_squares_residuals, problem=problem)
 

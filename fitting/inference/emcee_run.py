@@ -126,9 +126,7 @@ class SamplingOptions(Emcee):
 
 
 def for_group(options: Emcee | None, group: str) -> Emcee | None:
-    """Return the options with a separate checkpoint folder for one group (a colour channel).
-
-    If `options` is None, the result is None."""
+    """Return the options with a checkpoint folder for one group (a colour channel), or None."""
     if options is None or options.checkpoint is None:
         return options
     name = group.replace(" ", "_").replace("/", "_")
@@ -175,9 +173,7 @@ def run_ensemble(
     fingerprint: str,
     before: Sequence[Block] = (),
 ) -> Chain:
-    """Run or resume an ensemble until its chain is long enough or has the largest allowed number of
-    steps.
-    """
+    """Run or resume an ensemble until its chain is long enough or at the limit of steps."""
     import emcee
 
     walkers = enough_walkers(options, mode.size)
@@ -220,16 +216,11 @@ def run_ensemble(
 
 
 def _moves(dimension: int) -> list[tuple[Any, float]]:
-    """Return emcee's moves and the share of steps that each takes. The snooker move is left out,
-    because that of emcee 3.1.6 is biased.
-    """
+    """Return emcee's moves and their shares, without the snooker move (biased in emcee 3.1.6)."""
     from emcee.moves import DEMove, KDEMove
 
     class KDEOfSome(KDEMove):
-        """A move that proposes from a kernel density estimate of a random subset of the other
-        walkers. If these walkers lie in a plane, where the estimate fails, the proposal uses their
-        differences.
-        """
+        """Propose from some of the walkers, or from their differences if they lie in a plane."""
 
         def get_proposal(self, s: Any, c: Any, random: Any) -> Any:
             still = np.concatenate(c, axis=0)
@@ -249,9 +240,7 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
 
 
 def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
-    """Return a block: the sampler's results since its last reset, and the state from which to
-    continue.
-    """
+    """Return the sampler's results since its last reset, and the state from which to continue."""
     _, keys, position, has_gauss, gauss = state.random_state
     return {
         "fingerprint": np.array(fingerprint),
@@ -269,9 +258,7 @@ def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
 def _made_possible(
     evaluate: Callable[[np.ndarray], np.ndarray], walkers: np.ndarray, mode: np.ndarray
 ) -> np.ndarray:
-    """Return the log density of the walkers, after moving those whose density is zero towards the
-    mode.
-    """
+    """Return the log density of walkers, moved towards the mode where their density is zero."""
     found = evaluate(walkers)
     for _ in range(HALVINGS):
         nowhere = ~np.isfinite(found)
@@ -298,9 +285,7 @@ def _due(steps: int, block: int) -> bool:
 
 
 def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
-    """Return the chain if it is long enough or has reached the limit of steps; None if it must
-    continue.
-    """
+    """Return the chain if it is long enough or at the limit of steps; None otherwise."""
     steps = length(blocks)
     last = steps >= options.steps
     if not (last or _due(steps, options.block)):

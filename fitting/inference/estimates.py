@@ -88,9 +88,7 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Return an estimate with given quantiles as its intervals. If a quantile is infinite, the
-    estimate has no value.
-    """
+    """Return an estimate with quantiles as intervals; without a value if one is infinite."""
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
         why = "the data do not determine it: its interval exceeds all floating-point numbers"
         return not_determined(what, why, method=method, group=group)

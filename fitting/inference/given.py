@@ -45,9 +45,7 @@ def plain_numbers(what: str, value: Any) -> Any:
 
 
 def refuse_complex(what: str, plain: Any) -> None:
-    """Refuse complex numbers where real ones are needed, because a cast would drop the imaginary
-    part.
-    """
+    """Refuse complex numbers, because a cast would drop the imaginary part."""
     if np.iscomplexobj(plain):
         raise InputError(
             f"{what} holds complex numbers, and real ones are wanted; give their real and "
@@ -56,9 +54,7 @@ def refuse_complex(what: str, plain: Any) -> None:
 
 
 def is_concrete(tree: Any) -> bool:
-    """Return whether all numbers of a tree are known values, not tracers of a JAX
-    transformation.
-    """
+    """Return whether no number of a tree is a tracer of a JAX transformation."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -95,9 +91,7 @@ def require_seed(value: Any) -> None:
 
 
 def number_or_name(what: str) -> Callable[[Any], Any]:
-    """Return the converter of a likelihood's field. It makes numbers arrays and leaves names of
-    parameters unchanged.
-    """
+    """Return a likelihood field's converter: numbers to arrays, names of parameters unchanged."""
 
     def convert(value: Any) -> Any:
         if isinstance(value, str) and value:
@@ -151,9 +145,7 @@ def require_covariance(what: str, matrix: Float[np.ndarray, "n n"]) -> None:
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:
-    """Refuse an empty interval. An open end (None), a parameter's name or a traced value is not
-    checked.
-    """
+    """Refuse an empty interval; None, a name or a traced value is not checked."""
     ends = {"low": low, "high": high}
     known = {
         name: on_host(end)

@@ -276,9 +276,7 @@ def _importance(
     args: Any,
     seed: int,
 ) -> tuple[np.ndarray, float] | None:
-    """Return draws (draws, P) by importance sampling and their effective number; None if this
-    number is too small.
-    """
+    """Return draws (draws, P) by importance sampling and their effective number, or None."""
     from scipy.stats import qmc
 
     size = len(covariance)

@@ -337,9 +337,8 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
 def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
-    """Attach the joint prior's marginals to the free parameters of a problem. Return these
-    parameters and the part of the prior that concerns them.
-    """
+    """Return the free parameters with the marginals of a prior, and the part of it that concerns
+    them."""
     by_name = {parameter.name: parameter for parameter in free}
     for name in prior.required:
         if name not in by_name:

@@ -60,9 +60,7 @@ class Likelihood(Protocol):
 
 
 def numerics(*known: Any) -> tuple[Any, Any]:
-    """Return the libraries for residuals: NumPy and SciPy, which need no compilation, or JAX for
-    traced values.
-    """
+    """Return NumPy and SciPy, which compile nothing, or JAX for traced values."""
     return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
 
 
@@ -284,9 +282,7 @@ class Censored(eqx.Module):
 
 
 def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
-    """Return the normal deviate with cumulative probability `chance` in the distribution below
-    `end` standard deviations.
-    """
+    """Return the normal deviate of cumulative probability `chance` below `end` deviations."""
     xp, special = numerics(end, chance)
     far = end < _FAR
     above = xp.where(far, -end, 2)
@@ -397,9 +393,7 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
 
 
 def named_width(likelihood: Any) -> str | None:
-    """Return the name of the parameter that is the width of the noise; None if the width is no
-    parameter.
-    """
+    """Return the name of the parameter that is the width of the noise, or None."""
     if isinstance(likelihood, Clustered):
         return named_width(likelihood.likelihood)
     width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))

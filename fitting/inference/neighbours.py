@@ -23,9 +23,7 @@ def regions(
     cluster: Int[np.ndarray, " samples"],
     places: Float[np.ndarray, "clusters axes"],
 ) -> Int[np.ndarray, " clusters"]:
-    """Return the number of the region to which each cluster belongs, from positions in comparable
-    units.
-    """
+    """Return the region of each cluster, from positions in comparable units."""
     count = len(places)
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))
@@ -54,9 +52,8 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
 
 
 def _halved(places: np.ndarray, parts: int) -> np.ndarray:
-    """Divide positions into regions that contain equally many. The positions are cut into halves
-    along their longest axis, and each half is cut again. Return the region of each position.
-    """
+    """Return the region of each position, by halving them along their longest axis again and
+    again."""
     if parts == 1:
         return np.zeros(len(places), int)
     centred = places - places.mean(axis=0)

@@ -154,9 +154,7 @@ def minimise_read(
     *,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Do the same as `minimise`, for an objective whose data are read in chunks at every step and
-    whose derivatives are therefore summed outside of JAX.
-    """
+    """Do the same as `minimise` with derivatives summed outside JAX, for data read in chunks."""
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = derivatives(vectors[0].astype(start.dtype))

@@ -204,9 +204,7 @@ def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) ->
 def _started(
     log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
 ) -> _State:
-    """Draw the starts of the chains from Laplace's Gaussian, and move each towards the mode until
-    its density is positive.
-    """
+    """Draw starts from Laplace's Gaussian, moved towards the mode until the density is positive."""
     density = _whitened(log_density, mode, spread, args)
     z = jax.random.normal(key, (chains, mode.size), mode.dtype)
     nearer = jnp.asarray(SHRINKING, mode.dtype)[:, None, None] * z[None]
@@ -237,9 +235,7 @@ def _advance(
     block: int,
     acceptance: float,
 ) -> tuple[_State, dict[str, Array]]:
-    """Advance the chains by the steps of one block, given as (first, number), and return their
-    draws.
-    """
+    """Advance the chains by the steps of one block, (first, number), and return their draws."""
     from blackjax.adaptation.step_size import DualAveragingAdaptationState
     from blackjax.mcmc.hmc import HMCState
 

@@ -14,9 +14,7 @@ from jaxvision.errors import InputError
 
 
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
-    """Return all values as a NumPy array. They are gathered from the processes if no process has
-    them all, so every process must call this function.
-    """
+    """Return all values as a NumPy array; with several processes, each must call this."""
     if _off_device(values):
         from jax.experimental.multihost_utils import process_allgather
 
@@ -25,9 +23,7 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 
 
 def require_here(name: str, values: Any) -> None:
-    """Refuse arrays that are distributed over several processes, because data that are read in
-    parts must be in one process.
-    """
+    """Refuse arrays that lie on several hosts, because parts are read in one process."""
     if any(_off_device(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "

@@ -189,9 +189,7 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 
 
 def ends(parameter: Parameter) -> tuple[float, float]:
-    """Return the lower and upper bound of a scalar parameter in its unit, including the bounds of
-    its prior.
-    """
+    """Return the bounds of a scalar parameter and of its prior, in its unit."""
     lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
     if parameter.prior is not None:
         low, high = support(parameter.prior)
@@ -200,9 +198,7 @@ def ends(parameter: Parameter) -> tuple[float, float]:
 
 
 def scaled_ends(parameter: Parameter) -> tuple[float, float]:
-    """Return the lower and upper bound of a scalar parameter on the scale of its transform
-    (identity or logarithm).
-    """
+    """Return the bounds of a scalar parameter on the scale of its transform."""
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -215,9 +211,7 @@ def _natural(parameter: Parameter, v: Array) -> Array:
 
 
 def numpy_or_jax(values: Any) -> Any:
-    """Return NumPy for a NumPy array, for which nothing is compiled, and `jax.numpy` for any
-    other.
-    """
+    """Return NumPy for a NumPy array, for which nothing is compiled, else `jax.numpy`."""
     return np if isinstance(values, np.ndarray) else jnp
 
 
@@ -303,9 +297,7 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
 def natural_numbers(
     space: ParameterSpace, unconstrained: Float[np.ndarray, "... parameters"]
 ) -> Float[np.ndarray, "... parameters"]:
-    """Convert unconstrained values to natural ones in NumPy, because JAX would compile `to_natural`
-    for every space and shape.
-    """
+    """Convert unconstrained values to natural ones in NumPy, without a compilation."""
     with np.errstate(all="ignore"):
         return _to_natural(space, unconstrained)
 
@@ -319,9 +311,7 @@ def unconstrained_numbers(
 
 
 def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]:
-    """Return x' and x'' / x' for each natural value x, each (..., P). Primes are derivatives with
-    respect to the unconstrained value.
-    """
+    """Return x' and x'' / x', derivatives with respect to the unconstrained values, (..., P)."""
 
     def both(parameter: Parameter, u: Any) -> tuple[Any, Any]:
         xp, (a, b) = numpy_or_jax(u), scaled_ends(parameter)
@@ -369,9 +359,7 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
 
 @partial(jax.jit, static_argnums=0)
 def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
-    """Return unconstrained values from those on the scale of each number; NaN outside the
-    bounds.
-    """
+    """Return unconstrained values from those on the scale of each number; NaN outside bounds."""
 
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
@@ -437,9 +425,7 @@ Kind = tuple[Parameter, list[int]]
 
 
 def _kinds(space: ParameterSpace) -> list[Kind]:
-    """Group the scalars with equal transformation and prior, and return the groups with their
-    indices. Many numbers then need few operations.
-    """
+    """Group the indices of scalars with equal transformation and prior."""
     found: dict[Any, Kind] = {}
     for i, parameter in enumerate(space):
         key = (parameter.transform, *ends(parameter), parameter.prior)

@@ -118,9 +118,7 @@ class Posterior:
 
     @property
     def sampled(self) -> bool:
-        """Return whether the draws come from a sampler, so that their quantiles are the
-        intervals.
-        """
+        """Return whether draws come from a sampler, whose quantiles are the intervals."""
         return self.method != "Laplace"
 
 
@@ -320,9 +318,7 @@ def _from_bounds(
 def _sampled_ends(
     parameter: Parameter, draws: Float[np.ndarray, " draws"]
 ) -> Float[np.ndarray, "5"]:
-    """Return the ends of the intervals and the middle, which belong to the probabilities
-    `QUANTILES`.
-    """
+    """Return the values at `QUANTILES`; an interval begins at a bound where draws accumulate."""
     found = np.quantile(draws, QUANTILES)
     if not (side := piled_at(parameter, draws)):
         return found

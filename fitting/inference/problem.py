@@ -289,9 +289,7 @@ def _shape(parameter: Parameter) -> tuple[int, ...]:
 
 
 def _check_shapes(problem: Problem) -> None:
-    """Check the shapes of the prediction and of the log density in one trace, because tracing a
-    picture takes time.
-    """
+    """Check the shapes of prediction and log density in one trace, which may take long."""
 
     def terms(vector: Vector, problem: Problem) -> Array:
         values = values_at(problem, vector)
@@ -365,9 +363,7 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
 
 
 def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
-    """Call a function with its named arguments. If JAX cannot trace the function, the error says
-    why.
-    """
+    """Call a function with its named arguments; say why if JAX cannot trace it."""
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
@@ -409,9 +405,7 @@ def start_of_data(problem: Problem) -> Values:
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
-    """Return the prediction that the likelihood compares with the data: an array of their shape and
-    in their unit, or a record for a likelihood that takes one.
-    """
+    """Return the prediction that the likelihood compares with the data."""
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
@@ -518,9 +512,7 @@ def missing_in_words(problem: Problem, *, first: int = 0) -> str:
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """Return a parameter with its name, and with the shape and start of the number that it replaces
-    in a record.
-    """
+    """Return a parameter with its name, and shape and start of the number that it replaces."""
     known = None
     if is_path(name):
         known = np.asarray(read(records, name))
@@ -556,9 +548,7 @@ def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
 def named_and_rest(
     function: Callable[..., Any],
 ) -> tuple[tuple[inspect.Parameter, ...], bool]:
-    """Return the named arguments of a function, and whether it takes any further ones as
-    `**given`.
-    """
+    """Return the named arguments of a function, and whether it takes others as `**given`."""
     found = arguments(function).values()
     for argument in found:
         if argument.kind is argument.VAR_POSITIONAL:

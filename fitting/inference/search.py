@@ -136,10 +136,8 @@ class Optimum:
 
     @property
     def curvature(self) -> Float[np.ndarray, "parameters parameters"]:
-        """Return the information (P, P) with the eigenvalues of saddle directions made positive, so
-        that draws are possible. That the search did not end at a maximum is reported separately, in
-        words.
-        """
+        """Return the information (P, P) with saddle directions made positive, so that draws
+        exist."""
         if not self.saddle:
             return self.information
         values, axes, size = _scaled(self.information)
@@ -148,9 +146,8 @@ class Optimum:
 
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the eigenvalues (ascending) and eigenvectors of a symmetrically scaled matrix, and the
-    scales.
-    """
+    """Return eigenvalues (ascending) and eigenvectors of a scaled symmetric matrix, and the
+    scales."""
     information = np.nan_to_num(information)
     size = np.sqrt(np.linalg.norm(information, axis=1))
     size = np.where(size > 0, size, 1)
@@ -201,18 +198,14 @@ def prior_starts(
 
 
 def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> Any:
-    """Combine the results of `prior_starts` with the given start, and return (starts, P); NaN where
-    a number has no start.
-    """
+    """Combine `prior_starts` with the given start, (starts, P); NaN where there is none."""
     table = xp.where(xp.isnan(table), given[None] + distances, table)
     first = xp.where(xp.isnan(given), table[0], given)
     return xp.concatenate([first[None], table[1:]])
 
 
 def given_start(problem: Problem) -> Float[Array, " parameters"]:
-    """Return each parameter's own start, unconstrained; NaN where it has none. The function may be
-    compiled or traced.
-    """
+    """Return each parameter's own start, unconstrained; NaN where it has none."""
     natural = [
         np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
@@ -248,9 +241,7 @@ def start_at(
 
 
 def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
-    """Return points (count, dimensions) spread evenly over the unit cube by a Kronecker
-    sequence.
-    """
+    """Return points (count, dimensions) of a Kronecker sequence over the unit cube."""
     ratio = 2.0
     for _ in range(60):
         ratio = (1 + ratio) ** (1 / (dimensions + 1))
@@ -368,9 +359,7 @@ def _surrogate_ends(
 
 
 def _is_of_jaxopt(solver: Any) -> bool:
-    """Return whether a solver is a class of jaxopt's minimisers, or a `functools.partial` of
-    one.
-    """
+    """Return whether a solver is a class of jaxopt's minimisers, or a partial of one."""
     kind = getattr(solver, "func", solver)
     fields = getattr(kind, "__dataclass_fields__", ())
     return isinstance(kind, type) and kind.__module__.startswith("jaxopt.") and "fun" in fields
