@@ -11,8 +11,7 @@ from .cells import Cells, Eye
 
 
 def half_width(radius: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Return the half-angle, in rad, of the cone that a ball of this radius subtends at this
-    distance; pi inside the ball."""
+    """Return the half-angle, rad, that a ball subtends at a distance; pi inside the ball."""
     inside = radius >= distance
     ratio = np.where(inside, 1, radius / np.where(distance > 0, distance, 1))
     return np.where(inside, np.pi, np.arcsin(np.minimum(ratio, 1)))
@@ -24,8 +23,7 @@ def cosine(angles: np.ndarray) -> np.ndarray:
 
 
 def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit direction from each cell's centre to the eye, (c, 3), and the largest angle,
-    (c,) rad, between this direction and the direction to the eye from another point of the cell."""
+    """Return the unit direction from each cell to the eye, (c, 3), and its variation, (c,) rad."""
     if eye.everywhere:
         return cells.axis, np.full(len(cells.radius), np.pi)
     if eye.parallel:
@@ -36,8 +34,7 @@ def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest and the largest cosine, (c,) each, between a cell's normals and the
-    direction to the eye; 0 for a cell whose back faces the eye."""
+    """Return the smallest and largest cosine, (c,), of normals and eye; 0 for a hidden back."""
     wo, width = toward_eye(cells, eye)
     middle, slack = angle(cells.axis, wo), width + cells.spread
     return cosine(middle + slack), cosine(np.maximum(middle - slack, 0))

@@ -47,8 +47,7 @@ _FACES = 2000  # faces of a mesh, up to which its convexity is tested
 
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
-    """Return the largest distance, in m, of any point of the bounded surfaces and lights from the
-    origin."""
+    """Return the largest distance, m, of bounded surfaces and lights from the origin."""
     bodies = [body_of(surface.of("shape")) for surface in surfaces]
     bodies += [source.body for source in sources]
     far = [
@@ -58,8 +57,7 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """Return the relative rounding error of coordinates within which two shapes count as touching:
-    a few ULP of the coarsest dtype."""
+    """Return the relative error of coordinates within which shapes touch: a few ULP."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
@@ -91,8 +89,7 @@ def certain(reach: float) -> float:
 def slack_over(
     bodies: Bodies, point: np.ndarray, normal: np.ndarray, relative: float
 ) -> np.ndarray:
-    """Return the largest rounding error, (n,) m, of each body's height above a plane. `relative` is
-    the relative error of coordinates."""
+    """Return the largest rounding error, (n,) m, of each body's height above a plane."""
     size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
     return relative * (size + np.abs(point) @ np.abs(normal))
 
@@ -119,8 +116,7 @@ def _extent(
 
 
 def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
-    """Return the smallest and the largest height of a light above a plane, in m. Heights smaller
-    than their rounding error become 0."""
+    """Return the smallest and largest height of a light above a plane, m, as `_extent` does."""
     if source.body is not None:
         (low,), (high,) = _extent(stacked([source.body]), np.ones(1, bool), {}, plane, relative)
         return low, high
@@ -221,8 +217,7 @@ def _separated(
     bounded: np.ndarray,
     reach: float,
 ) -> None:
-    """Clear the flag of each (light, receiver, occluder) in `may` whose occluder is disjoint from
-    the convex hull of light and receiver."""
+    """Clear the flags in `may` of occluders disjoint from the convex hull of light and receiver."""
     n, tolerance = len(bounded), certain(_BEYOND * reach)
     for k, source in enumerate(sources):
         if source.kind == "sky":

@@ -42,8 +42,8 @@ def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
-    """Return the corners, (n, 3) m in order, of a regular polygon that encloses a disc, or that the
-    disc encloses if `within`."""
+    """Return the corners, (n, 3) m, of a regular polygon around a disc, or inside it if
+    `within`."""
     first, second = tangents(unit(numbers(shape.normal)))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), second)
@@ -131,8 +131,7 @@ def is_closed(shape: Ends[Shape]) -> bool:
 
 @once
 def plane_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a point, in m, and the unit normal of a flat shape, or None if the shape is not flat
-    or has free parameters."""
+    """Return a point, m, and the unit normal of a flat shape without free parameters, or None."""
     if shape.low is not shape.high:
         return None
     match shape.low:
@@ -144,8 +143,7 @@ def plane_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
-    """Combine bodies into one batch; the last ball of a body is repeated until all bodies have
-    equally many balls."""
+    """Combine bodies into one batch, with the last ball of smaller ones repeated."""
     most = max((len(points) for points, _ in bodies), default=1)
     points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
     for i, (own, size) in enumerate(bodies):
@@ -155,8 +153,7 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
 
 
 def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
-    """Return the bodies of all surfaces, and flags, (n,), that are True for bounded surfaces. The
-    body of an unbounded surface is an arbitrary ball."""
+    """Return the bodies of all surfaces, and (n,) whether each is bounded; else it is arbitrary."""
     found = [body_of(surface.of("shape")) for surface in surfaces]
     ball = np.zeros((1, 3)), np.ones(1)
     bodies = stacked([ball if body is None else body for body in found])
@@ -181,8 +178,7 @@ def hulls(a: Bodies, b: Bodies) -> Bodies:
 
 
 def heights(bodies: Bodies, directions: np.ndarray) -> np.ndarray:
-    """Return the largest u.x over the points x of each body, (n, d) m, for each of the d unit
-    vectors u in `directions`, (d, 3)."""
+    """Return the largest u.x over each body, (n, d) m, for d unit vectors u, (d, 3)."""
     return (bodies.points @ directions.T + bodies.radii[..., None]).max(1)
 
 
@@ -230,9 +226,8 @@ def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
 
 
 def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return the point nearest to the origin in each triangle with corners v, w and x, (n, 3) each.
-    The point may lie inside the triangle or on a side. The corner x is a point from the previous
-    step of Gilbert's algorithm. With x, the algorithm does not alternate between two points."""
+    """Return the point nearest to the origin in each triangle v, w, x, (n, 3) each. With x, a point
+    of an earlier step, Gilbert's algorithm does not alternate between two points."""
     p, q = w - v, x - v
     pp, pq, qq = (np.einsum("nk,nk->n", s, t) for s, t in ((p, p), (p, q), (q, q)))
     vp, vq = np.einsum("nk,nk->n", v, p), np.einsum("nk,nk->n", v, q)

@@ -56,8 +56,7 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
 
 
 def shorter(depth: int) -> list[int]:
-    """List the numbers of path segments below `depth` for which a bound is computed: every number
-    up to 16, then numbers in steps of a quarter."""
+    """List the tried numbers of segments below `depth`: all up to 16, then by a quarter."""
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)
@@ -105,8 +104,7 @@ class Transport(NamedTuple):
 
 
 class Onward:
-    """Bounds the radiance of each cell after any number of further reflections, given the direct
-    light that each cell reflects."""
+    """Bounds the radiance of each cell after further reflections of its direct light."""
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
         self.sums, self.depth = sums, depth
@@ -127,8 +125,7 @@ class Onward:
 
     @cached_property
     def lamps(self) -> np.ndarray:
-        """A bound, (n, bands) W m^-2 sr^-1, on the light that each surface reflects from all
-        lamps."""
+        """A bound, (n, bands) W m^-2 sr^-1, on the light of lamps that each surface reflects."""
         found = np.zeros_like(self.sums.own)
         for k in range(len(self.sums.sources)):
             found += largest(self.sums.cells, sent(self.sums, k, around=True))
@@ -147,22 +144,20 @@ class Onward:
         return found
 
     def of_body(self, i: int) -> np.ndarray:
-        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the diffuse part of
-        surface i from other surfaces."""
+        """Bound the mean radiance, (bands,), that the diffuse part of surface i receives from
+        others."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
 
     def of_lobe(self, i: int) -> np.ndarray:
-        """Bound the mean radiance, (bands,) W m^-2 sr^-1, that arrives at the specular lobe of
-        surface i from other surfaces."""
+        """Bound the mean radiance, (bands,), that the lobe of surface i receives from others."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
-        """Return the sum of T^k `sent` over k from 1 to `last`, where T is the operator of one path
-        segment and `sent`, (n, bands), the radiance of each surface."""
+        """Return the sum of T^k `sent` over k from 1 to `last`, (n, bands)."""
         return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
@@ -188,8 +183,7 @@ class Onward:
 
 
 def largest(cells: Cells, values: np.ndarray) -> np.ndarray:
-    """Return the maximum of the values of c cells, (c, bands), over the cells of each of n
-    surfaces: (n, bands)."""
+    """Return the maximum of values, (c, bands), over the cells of each surface, (n, bands)."""
     return np.maximum.reduceat(values, starts(cells), axis=0)
 
 
@@ -242,8 +236,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
 
 
 def _lies_in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
-    """Return whether any part of a body, or of an unbounded plane, lies in front of a flat
-    one-sided surface."""
+    """Return whether a part of a body or unbounded plane lies in front of a one-sided surface."""
     point, normal = plane
     if body is None:
         if other is None or not np.allclose(np.abs(other[1] @ normal), 1):

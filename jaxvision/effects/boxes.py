@@ -27,8 +27,7 @@ _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
 def refuse_tracers(*records: Any) -> None:
-    """Raise `ValueError` for records with traced numbers, because effects are dropped before JAX
-    traces a program."""
+    """Refuse traced numbers, because effects are dropped before JAX traces a program."""
     for leaf in jax.tree.leaves(records):
         if not is_known(leaf):
             raise ValueError(
@@ -113,8 +112,7 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
 
 
 def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
-    """Return the smallest and the largest value of a free field in the shape and dtype of the
-    field."""
+    """Return both ends of a free field in its shape and dtype."""
     try:
         low, high = (np.broadcast_to(np.asarray(v, float), own.shape) for v in values)
     except (TypeError, ValueError):
@@ -129,8 +127,7 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
-    """Return whether a `Draft`, after effects were dropped, still has the field with that name,
-    with its original shape and meaning."""
+    """Return whether a `Draft` still has the field of that name, with its shape and meaning."""
     place = re.match(r"surfaces\[(\d+)\]", name)
     if place is not None and draft.unmet and int(place[1]) >= min(draft.unmet):
         return False  # another surface would have its number
@@ -150,8 +147,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def corners(ends: Ends[Any]) -> list[Any]:
-    """List copies of a record with the free numbers in all combinations of their smallest and
-    largest values."""
+    """List copies of a record with all combinations of the ends of its free numbers."""
     low, tree = jax.tree.flatten(ends.low)
     high = jax.tree.leaves(ends.high)
     choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]

@@ -61,8 +61,7 @@ class Cells(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """The positions and viewing directions of a camera, over the whole range of its free
-    parameters."""
+    """The positions and viewing directions of a camera over the range of its parameters."""
 
     place: np.ndarray  # (3,) m, middle of the pinhole or lens
     moves: float  # m, the largest distance by which a fit may move it
@@ -78,8 +77,7 @@ class Eye(NamedTuple):
 
 
 def eye_of(view: Ends[View]) -> Eye:
-    """Bound the position and the field of view of a camera over the range of its free parameters;
-    lengths in m."""
+    """Bound the position and field of view of a camera over the range of its parameters, m."""
     low, high = view
     place, other = numbers(low.position), numbers(high.position)
     names = ("rotation", "focal_length", "pixel_pitch", "focus_distance")
@@ -110,8 +108,7 @@ def eye_of(view: Ends[View]) -> Eye:
 
 
 def lens_radius(lens: ThinLens) -> float:
-    """Return the distance, in m, from the axis to the farthest point of a lens's aperture: half the
-    diagonal of a rectangle, or the radius."""
+    """Return the distance, m, from the axis to the farthest point of a lens's aperture."""
     radius = float(lens.focal_length) / float(lens.f_number) / 2
     if isinstance(lens.aperture, RectangularAperture):
         return radius * math.hypot(float(lens.aperture.width), float(lens.aperture.height))
@@ -119,8 +116,7 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """Return an eye that stands for a viewer at any position, such as another surface that receives
-    the light."""
+    """Return an eye that stands for a viewer at any position, such as another surface."""
     return eye._replace(everywhere=True)
 
 
@@ -176,8 +172,7 @@ def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
 
 
 def _anywhere(shape: Ends[Shape]) -> Parts:
-    """Return one cell that contains a shape for all values of its free parameters. The normals of
-    the cell are arbitrary."""
+    """Return one cell, with any normal, that contains a shape for all values of its parameters."""
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
@@ -204,8 +199,7 @@ def _disc_cells(shape: Disc, side: int) -> Parts:
 
 
 def _sphere_cells(shape: Sphere, side: int) -> Parts:
-    """Return the cells of a sphere: the squares of a grid on the surrounding cube, projected onto
-    the sphere."""
+    """Return the cells of a sphere: the squares of a grid on the cube around it, projected."""
     axis, spread = _sphere_axes(side)
     r = float(shape.radius)
     return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
@@ -213,8 +207,7 @@ def _sphere_cells(shape: Sphere, side: int) -> Parts:
 
 @cache
 def _sphere_axes(side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each cell of a sphere, the axis of its cone of normals, (c, 3), and the largest
-    angle of a normal to this axis, (c,) rad."""
+    """Return the axis, (c, 3), and the largest angle, (c,) rad, of each cell's cone of normals."""
     t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
     middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
     a, b = (x.ravel() for x in np.meshgrid(middle, middle, indexing="ij"))
@@ -255,8 +248,7 @@ def has_faces_apart(shape: TriangleMesh) -> bool:
 
 
 def _mesh_cells(shape: TriangleMesh) -> Parts:
-    """Return the cells of a mesh: one for each triangle, or one for several successive triangles if
-    the mesh has many triangles."""
+    """Return the cells of a mesh: one for each triangle, or for each run of triangles."""
     vertices = numbers(shape.vertices)
     faces = faces_of(shape)
     own = vertices[faces]

@@ -230,8 +230,7 @@ def _headings(certificate: Certificate) -> tuple[str, ...]:
 
 
 def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield, for each effect of a certificate, the word "kept" or "dropped" and the cells of its
-    table row."""
+    """Yield "kept" or "dropped" and the cells of the table row of each effect."""
     for word, found in (("dropped", certificate.dropped), ("kept", certificate.kept)):
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why

@@ -31,8 +31,7 @@ _TRIES = 64  # largest number of thresholds, each at most half of the previous o
 
 @dataclass(frozen=True)
 class Chain:
-    """The `Row` of every effect, from the scene to the raw data, with the factors that convert all
-    bounds to one unit."""
+    """The `Row` of every effect, with the factors that convert all bounds to one unit."""
 
     rows: tuple[Row, ...]  # of all effects
     opening: float = 1.0  # W m^-2 per W m^-2 sr^-1, the largest gain of the lens
@@ -268,8 +267,7 @@ class Choice:
 
 
 def _many(scene: Scene) -> bool:
-    """Return whether it pays to trace the lights in the order of their contribution: whether that
-    saves more shadow rays than the ordering costs."""
+    """Return whether lights in order of their contribution save more rays than the order costs."""
     blocking = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
     shapes = [scene.surfaces[i].shape for i in blocking]
     meshes = any(isinstance(shape, TriangleMesh) for shape in shapes)
@@ -289,8 +287,7 @@ def _assumed_of(scene: Scene) -> Iterator[str]:
 
 
 def bands_of(draft: Draft) -> int:
-    """Count the bands of the picture that a `Draft` renders: the largest number of bands of any
-    material, emission or light."""
+    """Return the largest number of bands of any material, emission or light of a `Draft`."""
     counts = [1]
     for surface in draft.left:
         material = surface.material
@@ -307,8 +304,7 @@ def bands_of(draft: Draft) -> int:
 
 
 def finished(scene: Scene, draft: Draft) -> Scene:
-    """Return the scene of a `Draft`, with only the lights and surfaces that were not dropped. If
-    all shadows were dropped, the scene's `occluders` are `()`."""
+    """Return the scene of a `Draft`, with only the lights and surfaces that remain."""
     left = [k for k, light in enumerate(draft.lights) if light is not None]
     rules = scene.rules
     if rules is not None:

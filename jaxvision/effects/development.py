@@ -141,8 +141,7 @@ def tone(development: Development) -> Factor:
 
 
 def sharpening(development: Development) -> Factor:
-    """Return the factor of sharpening: 1 + 2 |a| for the sharpened picture f + a (f - g * f), where
-    f is the picture, a the amount and g a blur kernel of sum 1."""
+    """Return the factor 1 + 2 |a| for a picture f + a (f - g * f), with a blur g of sum 1."""
     how = development.sharpening
     assert how is not None
     amount = abs(float(how.amount))
@@ -150,8 +149,7 @@ def sharpening(development: Development) -> Factor:
 
 
 def compression(development: Development) -> Factor:
-    """Return the factor of JPEG compression: there is no bound, because the rounding of
-    coefficients is discontinuous."""
+    """Return no factor: the rounding of JPEG's coefficients is discontinuous."""
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 
@@ -195,8 +193,7 @@ def lipschitz(development: Development | None) -> Factor:
 
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
-    """Return a `Row` for each step of a development, with bounds in DN of the raw data. Only steps
-    that change nothing can be dropped."""
+    """Return a `Row` for each step, in DN; only steps that change nothing can be dropped."""
     low, high = development
     if low is None or high is None:
         return ()

@@ -48,8 +48,7 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
 
 
 def light_offset_electrons(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Return the largest number of electrons that the sensor's light offset adds to a pixel or
-    removes from it."""
+    """Return the largest number of electrons that the light offset adds or removes."""
     match sensor["light_offset"]:
         case None:
             return 0.0
@@ -98,9 +97,7 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
 
 
 def kernel_slopes(kernel: Any) -> float:
-    """Return half of the sum of |K_l - K_(l + neighbour)| over all offsets l, for neighbours in
-    rows and in columns, per electron.
-    """
+    """Return half of the sum of |K_l - K_(l + neighbour)| over offsets l, per electron."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
     whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
     return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2

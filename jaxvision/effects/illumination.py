@@ -22,15 +22,13 @@ from .cells import Cells, Eye
 
 
 def has_size(light: Light) -> bool:
-    """Return whether light from this source may reach a point from many directions. The answer for
-    a type of light that is not registered is True."""
+    """Return whether a light may reach a point from many directions; True if not registered."""
     own = kinds().get(type(light))
     return own is None or hasattr(own, "seen")
 
 
 def source_of(light: Ends[Any]) -> Source:
-    """Return bounds on a light over the range of its free parameters; inf for a type without a
-    bound."""
+    """Return bounds on a light over the range of its parameters; inf for an unknown type."""
     own = kinds().get(type(light.low))
     if own is not None and own.bound is not None:
         return own.bound(light)
@@ -57,8 +55,7 @@ class Arrived(NamedTuple):
 
 
 def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
-    """Bound the light from one light source on the cells. `least`, (c,) m, is a known lower bound
-    on the distance of each cell from the light."""
+    """Bound the light of a source on the cells, at least `least`, (c,) m, away from it."""
     count = len(cells.radius)
     if source.kind == "sky":
         e = np.full((count, 1), 2 * np.pi * source.share)

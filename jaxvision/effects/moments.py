@@ -73,8 +73,7 @@ def _moved(
 
 
 def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """Return one `Row` for each effect, with the largest bound over all times. An object that the
-    motion adds or removes is never dropped."""
+    """Yield the largest bound of each effect over all times; what comes and goes is kept."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

@@ -83,8 +83,7 @@ def motion_stage(
 
 
 def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
-    """Return the times, (moments,) s, at which a motion is evaluated for a picture with this number
-    of rows."""
+    """Return the times, (moments,) s, at which a motion is evaluated."""
     assert sensor.exposure_time is not None
     times, _ = exposure_slots(sensor.shutter, sensor.exposure_time, rows=rows, slots=moments)
     return np.asarray(times, float)
@@ -113,8 +112,7 @@ def moved(
 
 
 def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
-    """Return the largest displacement, in pixels, between the scene at rest and at one time, and
-    the reason if the displacement is inf."""
+    """Return the largest displacement, pixels, from rest at one time, and why it is inf."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
     if not same(_without_places(scene, view), _without_places(now, seen)):
@@ -144,8 +142,7 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
 
 
 def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray) -> float:
-    """Return the largest displacement in the picture, in pixels, of a convex hull whose corners,
-    (n, 3) m, move from `points` to `others`."""
+    """Return the displacement, pixels, of a convex hull that moves from `points` to `others`."""
     rest, now = _camera_coordinates(view, points), _camera_coordinates(seen, others)
     across = float(np.hypot(*(now - rest)[:, :2].T).max())
     if isinstance(view, Orthographic):
@@ -163,8 +160,7 @@ def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray
 
 
 def steepest_slope(view: View) -> float:
-    """Return the slope of the chief ray of the pixel corner farthest from the axis. With
-    distortion, it is the largest slope on the border of the picture."""
+    """Return the largest slope of a chief ray, at the border of the picture."""
     assert not isinstance(view, Orthographic)
     height, width = view.resolution
     across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
@@ -179,14 +175,12 @@ def steepest_slope(view: View) -> float:
 
 
 def _camera_coordinates(view: View, points: np.ndarray) -> np.ndarray:
-    """Convert points, (n, 3) m, to coordinates along the right, down and forward axes of a
-    camera."""
+    """Convert points, (n, 3) m, to coordinates along a camera's right, down and forward."""
     return (points - np.asarray(view.position, float)) @ np.asarray(view.rotation, float).T
 
 
 def _points(shape: Any) -> np.ndarray | None:
-    """Return the corners, (n, 3) m, of a convex body that contains a shape and moves with it, or
-    None for an unbounded shape."""
+    """Return corners, (n, 3) m, of a convex body around a shape, or None for an unbounded one."""
     if isinstance(shape, TriangleMesh):
         return np.asarray(shape.vertices, float)
     if isinstance(shape, np.ndarray):

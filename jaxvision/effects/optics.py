@@ -66,8 +66,7 @@ class _Grids:
         self.slopes = cache(self._slopes)
 
     def without(self, *parts: str) -> View:
-        """Return the view without some of its parts, with one pixel for each sample of the pixel
-        apertures."""
+        """Return the view without some parts, with one pixel for each sample of the apertures."""
         view, n = self.view.high, self.oversampling
         rows, columns = view.resolution
         view = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
@@ -92,8 +91,7 @@ class _Grids:
 
     @property
     def opening(self) -> float:
-        """The largest gain of any pixel, in W m^-2 per W m^-2 sr^-1, for any choice of dropped
-        parts."""
+        """The largest gain, W m^-2 per W m^-2 sr^-1, for any choice of dropped parts."""
         most = max(opening_of(view) for view in corners(self.view))
         if not self.has("distortion") or self.straight:
             return most
@@ -103,15 +101,13 @@ class _Grids:
         return max(most, *(float(np.max(self.brightness(*parts))) for parts in variants))
 
     def _brightness(self, *gone: str) -> np.ndarray:
-        """Compute the gain of each pixel, (h, w) W m^-2 per W m^-2 sr^-1, without some parts and
-        without diffraction."""
+        """Compute the gain of each pixel, (h, w), without some parts and without diffraction."""
         view = self.without("diffraction", *gone)
         ones = jnp.ones((*view.resolution, 1), view.pixel_pitch.dtype)
         return np.asarray(_brightness_of(view, ones), float)[..., 0]
 
     def _slopes(self, *gone: str) -> np.ndarray:
-        """Compute the slopes of the chief rays, (2, h + 2, w + 2), of all pixels and of the
-        picture's edges."""
+        """Compute slopes of chief rays, (2, h + 2, w + 2), of pixels and the picture's edges."""
         view = self.without(*gone)
         dtype = view.pixel_pitch.dtype
         rows, columns = (
@@ -172,8 +168,7 @@ def _passes(grids: _Grids, *gone: str) -> bool:
 
 
 def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """Bound the effect of distortion: the largest displacement over the grid, and the largest
-    change of the gain, with and without the rim."""
+    """Bound distortion by the largest displacement and change of gain, with and without the rim."""
     if grids.straight:
         return np.zeros_like(radiance), 0.0, "all coefficients are 0"
     if not grids.fixed:

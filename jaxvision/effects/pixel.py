@@ -105,8 +105,7 @@ def growth(before: float, by: float) -> float:
 
 @dataclass(frozen=True)
 class Pixel:
-    """A sensor without the dropped effects, with bounds on the value of any pixel under the largest
-    irradiance."""
+    """A sensor without the dropped effects, with bounds on its pixels under the largest light."""
 
     # the fields of the sensor at both ends, by name; None for dropped ones
     sensor: Ends[Mapping[str, Any]]
@@ -179,8 +178,7 @@ class Pixel:
 
     @cached_property
     def smearing(self) -> float:
-        """The factor by which smear increases the charge of the brightest pixel if its whole column
-        is equally bright."""
+        """The factor of smear on the brightest pixel in a column that is equally bright."""
         return 1 + self.high("smear") * (self.shape[0] - 1)
 
     @cached_property
@@ -190,8 +188,8 @@ class Pixel:
 
     @cached_property
     def _darks(self) -> list[float]:
-        """The number of dark electrons at each corner of the range of free parameters; every
-        dark-current law is monotone in each of its parameters."""
+        """The dark electrons at each corner of the free parameters, in which each law is
+        monotone."""
         dark = Ends(self.sensor.low["dark_current"], self.sensor.high["dark_current"])
         if dark.low is None:
             return [0.0]
@@ -206,8 +204,7 @@ class Pixel:
 
     @cached_property
     def bright(self) -> float:
-        """The mean number of electrons of the brightest pixel, plus the root mean square of the
-        excess of a hot pixel."""
+        """The mean electrons of the brightest pixel, plus the rms excess of a hot pixel."""
         return self.light + self.dark + math.sqrt(2) * self.hot
 
     @property
@@ -217,13 +214,11 @@ class Pixel:
 
     @cached_property
     def variances(self) -> Ends[dict[str, float]]:
-        """The variances of the read-out noise (`read_out_variances`) at both ends of the range of
-        the free parameters."""
+        """The variances of the read-out noise at both ends of the free parameters."""
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
-        """Return the smallest variance that all noise sources after the conversion add, except the
-        source `name`."""
+        """Return the smallest variance added after the conversion, without the source `name`."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
     @property
@@ -236,8 +231,8 @@ class Pixel:
 
     @property
     def rank_of_counts(self) -> Rank:
-        """The rank of a bound that assumes Poisson counts. With the brighter-fatter effect, counts
-        are not Poisson-distributed, so the bound is only an estimate."""
+        """The rank of a bound by Poisson counts, which the brighter-fatter effect makes
+        estimates."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property
@@ -262,15 +257,13 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """The smallest variance of any pixel, which is the variance of the darkest pixel, converted
-        to a variance of the charge."""
+        """The smallest variance of any pixel, as a variance of the charge."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
-        """The change in DN for one electron added after the conversion: K sqrt(1 + q^2), with gain
-        K and column PRNU q."""
+        """The change in DN for one electron after the conversion: K sqrt(1 + q^2)."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
@@ -283,8 +276,7 @@ class Pixel:
 
     @cached_property
     def behind_own(self) -> float:
-        """The change in DN for one electron of arriving charge, as `behind_charge` but without the
-        brighter-fatter effect."""
+        """The factor `behind_charge` without the brighter-fatter effect."""
         return self.behind_conversion * self.grown
 
     @cached_property
@@ -335,14 +327,12 @@ class Pixel:
 
     @cached_property
     def behind_conversion(self) -> float:
-        """The largest change in DN for one electron of charge before the conversion: K sqrt((1 +
-        c^2)(1 + q^2)), with gain K, conversion PRNU c and column PRNU q."""
+        """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
     def charge(self) -> Charge:
-        """The random charge of the brightest pixel before any full well. This pixel is hot if the
-        sensor has hot pixels."""
+        """The random charge of the brightest pixel, hot if there are such, before any full well."""
         gaussian = isinstance(self.sensor.high["shot_noise"], GaussianShotNoise)
         return Charge(
             self.light,
@@ -354,8 +344,7 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """Bounds on the excess of the brightest charge over the full well. Without a full well, the
-        excess is 0."""
+        """Bounds on the excess of the brightest charge over the full well, 0 without one."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
@@ -415,8 +404,7 @@ class Pixel:
         return min(rows * trail * columns * shared, pixels)
 
     def tap_change(self, name: str) -> float:
-        """Return the largest difference between a parameter of the read-out taps and its value
-        without taps, which is 0 DN for the offset and 1 for factors."""
+        """Return the largest departure of a tap parameter from 0 DN (offset) or 1 (factors)."""
         none = 0.0 if name == "offset" else 1.0
         values = [getattr(end["taps"], name, None) for end in self.sensor]
         changes = (np.abs(np.asarray(v, float) - none) for v in values if v is not None)
@@ -479,8 +467,7 @@ def pixel_of(
 
 
 def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
-    """Return the sensor's parameters multiplied by the smallest or the largest factor of any of its
-    read-out taps."""
+    """Return the parameters times the smallest or the largest factor of any tap."""
     taps = kept["taps"]
     found: dict[str, Any] = {"untapped": kept}
     for name in ("gain", "read_noise", "prnu", "quantum_efficiency"):

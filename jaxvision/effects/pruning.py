@@ -32,8 +32,7 @@ _probe = jax.jit(render, compiler_options=QUICKLY)
 
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
-    """Return a `Row` for every effect from the scene to the developed picture. For a view without a
-    sensor, return only the rows of the scene and the lens."""
+    """Return a `Row` for every effect; for a view, only those of the scene and the lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture
@@ -50,8 +49,7 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
 
 
 def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
-    """Return a `Row` for every effect. If a number is not finite or a map rotates normals, no `Row`
-    has a bound."""
+    """Return a `Row` for every effect, without bounds if a number is not finite or normals turn."""
     refuse_tracers(scene, camera)
     depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):
@@ -304,8 +302,7 @@ def removals(
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
-    """Return the names of the materials that dropped effects changed to a new type of material.
-    Each new type needs a further shading program."""
+    """Return the materials that changed to a new type, which needs a program of its own."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
         for surfaces in (scene.surfaces, draft.left)

@@ -82,8 +82,7 @@ def scene_stage(
 
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
-    """Return the supremum of the picture's radiance, (bands,), over reflected light, emission and
-    visible lamps."""
+    """Return the supremum of the picture's radiance, (bands,), visible lamps included."""
     found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
         found = found + onward(sent(sums, k), sent(sums, k, around=True))
@@ -91,8 +90,7 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def depths(sums: Sums) -> tuple[float, float]:
-    """Return the smallest and largest depth, in m along the axis, of everything that may be in view
-    or blur into it."""
+    """Return the smallest and largest depth, m along the axis, of all that may be in view."""
     eye = sums.eye
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
     lamps = [
@@ -149,8 +147,7 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), of other lights that mirrors in the cells flagged in
-    `within`, (c,), can show if a lamp no longer hides them."""
+    """Return the largest radiance, (bands,), that mirrors show once a lamp hides it no longer."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
@@ -273,8 +270,7 @@ def _size(lobe: Lobe | None) -> float:
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound the effect of the Fresnel reflectance of microfacets by the light that the specular
-    lobe would gain if the facets reflected all light."""
+    """Bound the Fresnel reflectance of facets by the gain if they reflected all light."""
     facets = sums.reflections[i].facets
     assert facets is not None
     full: list[Lobe | None] = [None] * len(sums.surfaces)

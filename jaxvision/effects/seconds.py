@@ -92,8 +92,7 @@ def _without(party: Sequence[Row], start: Draft) -> Draft | None:
 
 
 class _Calls:
-    """Makes the programs of a `Draft`. The lens and the sensor are timed on the light of the
-    picture with all effects."""
+    """Makes the programs of a `Draft`, timed on the light of the picture with all effects."""
 
     def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
         self.scene, self.whole = scene, whole
@@ -137,8 +136,7 @@ def _part(
 
 
 def _sorted_scene(scene: Scene) -> Scene:
-    """Return the scene with its surfaces sorted by structure and sizes, unless occluders refer to
-    them by index."""
+    """Return the scene with surfaces sorted by kind, unless occluders refer to them."""
     if scene.occluders:
         return scene
 

@@ -59,8 +59,7 @@ _ASSUMES = {
 def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
-    """Return a `Row` for each effect of a sensor, and the `Response` of the sensor to a change of
-    light."""
+    """Return a `Row` for each effect of a sensor, and its `Response` to a change of light."""
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
     jax.eval_shape(lambda seen: mean_photoelectrons(sensor.high, seen), arriving)
@@ -102,8 +101,7 @@ def dark_noise(pixel: Pixel) -> float:
 
 
 def _response(pixel: Pixel, change: np.ndarray) -> float:
-    """Return the change of any pixel's distribution, in DN, for a change of irradiance, (bands,) W
-    m^-2."""
+    """Return the change of any pixel, DN, for a change of irradiance, (bands,) W m^-2."""
     if not np.any(change):
         return 0.0
     ends = (
@@ -117,8 +115,7 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
 def _row(
     name: str, bound: BoundOf, pixel: Callable[[Gone], Pixel], drop: Drop | None, **more: Any
 ) -> Row:
-    """Return the `Row` of an effect. The bound of the effect is computed for the sensor without the
-    effects that were dropped before."""
+    """Return the `Row` of an effect, bounded for the sensor without those dropped before."""
 
     def after(gone: Gone) -> float:
         return clean(bound(pixel(gone - {name})).dn)
@@ -130,8 +127,7 @@ def _row(
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the `Row` of the effect of one sensor field. Dropping the effect sets the field to
-    None, and also the factors by which read-out taps scale the field."""
+    """Return the `Row` of one field, which is dropped with the taps' factors on it."""
     identity = _is_identity(name, sensor)
 
     def drop(draft: Draft) -> Draft:

@@ -67,16 +67,14 @@ def brighter_fatter(pixel: Pixel) -> Bound:
 
 
 def full_well(pixel: Pixel) -> Bound:
-    """Bound the effect of the full well by the root mean square excess of the brightest charge
-    above the full well (module `overflow`)."""
+    """Bound the full well by the rms excess of the brightest charge (module `overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
     return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
 
 
 def blooming(pixel: Pixel) -> Bound:
-    """Bound the effect of blooming by the charge that overflows into a pixel from all others of its
-    column (`Pixel.received`)."""
+    """Bound blooming by the charge that a pixel receives from its column."""
     if pixel.received == 0:
         return Bound(0.0, "no charge spills")
     why = f"{pixel.spilt.mean:.3g} e- above the well expected, at most"

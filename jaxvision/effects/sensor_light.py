@@ -28,8 +28,7 @@ def light_offset(pixel: Pixel) -> Bound:
 
 
 def infrared_cut(pixel: Pixel) -> Bound:
-    """Bound the effect of the infrared filter by the light that it removes, (1 - transmission) of
-    each band."""
+    """Bound the infrared filter by the light that it removes, (1 - transmission)."""
     least = np.asarray(pixel.sensor.low["infrared_cut"], float)
     return _attenuator(pixel, "infrared_cut", least, "what the filter absorbs")
 
@@ -90,8 +89,7 @@ def prnu(pixel: Pixel) -> Bound:
 
 
 def dead_pixels(pixel: Pixel) -> Bound:
-    """Bound the effect of dead pixels by all their light. A dead pixel changes other pixels only
-    within its `reach`."""
+    """Bound dead pixels by all their light, which matters within their `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels are dead; the bound is for these"
     return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
@@ -121,8 +119,7 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """Bound the effect of a filter, which multiplies each band by a factor of at most 1, by the
-    light that the filter removes."""
+    """Bound a filter, of a factor of at most 1 for each band, by the light that it removes."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     # no bound is known if the light is inf, even if the factor is 1

@@ -57,8 +57,7 @@ def column_prnu(pixel: Pixel) -> Bound:
 
 
 def every_pixel(name: str, pixel: Pixel) -> Bound:
-    """Bound the effect of a noise or pattern that has zero mean in all pixels and is independent of
-    all other noise."""
+    """Bound a noise or pattern of zero mean in all pixels, independent of all others."""
     variance = pixel.variances.high[name]
     conversion = pixel.low("conversion_prnu")
     rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
@@ -67,8 +66,7 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
 
 
 def telegraph_noise(pixel: Pixel) -> Bound:
-    """Bound the effect of telegraph noise. A pixel with a trap has an error of +a or -a in half of
-    the frames, so the variance is a^2 / 2."""
+    """Bound telegraph noise, +a or -a in half of the frames of a trap: variance a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()

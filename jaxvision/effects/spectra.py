@@ -112,8 +112,7 @@ def _largest(terms: Terms, bands: int) -> np.ndarray:
 
 
 def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the indices of the kept bands and the reconstruction matrix, for one band up to all
-    bands but one. The bands are selected by pivoted QR."""
+    """Yield kept bands and reconstruction, by pivoted QR, for one band up to all but one."""
     weighted = []
     for g, p in terms:
         weight = g.max(0)
@@ -150,8 +149,7 @@ def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray
 
 
 def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
-    """Return a scene with a few of its bands. Every spectrum of `bands` numbers is reduced to these
-    bands. Neutral spectra, of one number, are not changed."""
+    """Return a scene with only these bands of every spectrum of `bands` numbers."""
 
     def cut(spectrum: Any) -> Any:
         if spectrum is None or spectrum.shape[-1] != bands:

@@ -38,8 +38,7 @@ QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_pa
 
 @dataclass(frozen=True)
 class Draft:
-    """The scene and camera while effects are dropped. Lights and surfaces keep their original
-    indices; a dropped light is None."""
+    """The scene and camera while effects are dropped, with the original indices."""
 
     surfaces: tuple[Surface, ...]  # all surfaces, including those in `unmet`
     lights: tuple[Light | None, ...]  # each light, or None where it was dropped
@@ -106,14 +105,12 @@ class Row:
 
     @property
     def bound(self) -> float:
-        """The bound on the change if the effect is dropped: the largest `amount` of any band, in
-        `unit`."""
+        """The largest `amount` of any band, in `unit`."""
         return float(np.max(self.amount))
 
     @property
     def effect(self) -> Effect:
-        """The `Effect` that `inspect` lists for this row. The bound of the `Effect` is in the
-        `unit` of the row: W m^-2 sr^-1, W m^-2 or DN."""
+        """The `Effect` that `inspect` lists for this row, with the bound in the row's `unit`."""
         exact = self.bound == 0 and self.place == 0
         rank = "estimate" if self.estimated else "exact" if exact else "bound"
         what = self.name, self.present, self.why, self.bound, self.place, self.unit, rank
@@ -121,8 +118,7 @@ class Row:
 
 
 def unproved(row: Row, why: str) -> Row:
-    """Return a copy of a `Row` whose bound is inf, so that its effect is never dropped. `why` is
-    the reason."""
+    """Return a copy of a `Row` that is never dropped because of `why`: its bound is inf."""
     amount = row.amount + np.inf
     return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
 

@@ -74,8 +74,7 @@ class Sums(NamedTuple):
 
     @property
     def own(self) -> np.ndarray:
-        """The radiance that each surface sends by emission and ambient light, (n, bands) W m^-2
-        sr^-1."""
+        """The radiance that surfaces send by emission and ambient light, (n, bands)."""
         return self.emission + self.ambient
 
 
@@ -239,8 +238,7 @@ def _geometry(
 def _mirrored(
     sources: Sequence[Source], nearest: np.ndarray, mirrors: np.ndarray, cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """Compute `Sums.mirrored` from the cone of mirrored directions. `mirrors`, (n,), flags the
-    surfaces that are mirrors."""
+    """Compute `Sums.mirrored` from the cone of directions mirrored by `mirrors`, (n,)."""
     found, own = np.ones((len(sources), len(cells.radius)), bool), mirrors[cells.surface]
     there = Cells(*(x[own] for x in cells))
     for k, source in enumerate(sources):
@@ -261,16 +259,14 @@ def geometry_of(
 
 
 def slopes(sums: Sums) -> np.ndarray:
-    """Return the largest slopes of the lobes with respect to the light direction or the view
-    direction, (n,) sr^-1 rad^-1; inf if unknown."""
+    """Return the largest slopes of lobes over directions, (n,) sr^-1 rad^-1; inf if unknown."""
     lobes = [own.lobe for own in sums.reflections]
     found = [0.0 if own is None else own.slope for own in lobes]
     return np.array([np.inf if slope is None else slope for slope in found])
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
-    """Return lower bounds on the distances between lights and surfaces, (l, n) m; 0 if the light or
-    the surface is unbounded."""
+    """Return lower bounds on distances of lights and surfaces, (l, n) m; 0 if unbounded."""
     found = np.zeros((len(sources), len(surfaces)))
     bodies, bounded = surface_bodies(surfaces)
     near = [k for k, source in enumerate(sources) if source.body is not None]
@@ -313,8 +309,7 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
 
 
 def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
-    """Bound the light of source k that the lobe of each cell reflects, (c, bands) W m^-2 sr^-1;
-    `around` as in `sent`."""
+    """Bound the light of source k by the lobe of each cell, (c, bands), as in `sent`."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
     return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
 
