@@ -34,8 +34,7 @@ class PngChunks:
 
     @property
     def bits(self) -> int:
-        """The number of significant bits per sample in the image from which the file was made, or
-        None if it differs between channels."""
+        """The significant bits per sample of the image from which the file was made."""
         if self.colour_type == PALETTE:
             return 8
         alike = len(set(self.significant)) == 1 and 0 < self.significant[0] <= self.depth
@@ -109,8 +108,7 @@ _END = 0xD9  # marker of the end of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
-    """Describe the contents of a JPEG file besides the picture and its metadata: further pictures,
-    gain maps, and bytes after the end of the JPEG data, for example a film."""
+    """Describe further pictures, gain maps and bytes after the end in a JPEG file."""
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
@@ -130,8 +128,7 @@ def jpeg_extras(file: Path) -> list[str]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the type and content of each segment of a JPEG file, including segments between scans.
-    The content of the end marker is everything after the marker."""
+    """Yield type and content of each segment of a JPEG; the end marker's is all that follows."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]
@@ -149,8 +146,7 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _further_pictures(index: bytes) -> int:
-    """Return the number of pictures in the index of a Multi-Picture file, not counting the first
-    picture and smaller copies of the first picture."""
+    """Count the pictures in a Multi-Picture index after the first, without smaller copies."""
     order = {b"II": "<", b"MM": ">"}.get(index[:2])
     if order is None:
         return 0
@@ -175,8 +171,7 @@ _PALETTES = (1, 9)
 
 
 def targa_bits(file: Path) -> int:
-    """Return the number of bits of each colour of a TGA file: 5 if pixels, or the colours of its
-    palette, have 15 or 16 bits, otherwise 8."""
+    """Return the bits of each colour of a TGA file: 5 for 15- or 16-bit pixels, else 8."""
     with file.open("rb") as stream:
         head = stream.read(18)
     if len(head) < 18 or head[2] in _GREY:

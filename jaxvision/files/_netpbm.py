@@ -45,8 +45,7 @@ class NetpbmHead:
 
 
 def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
-    """Read the header of a Netpbm file, or of its bytes. `InputError` is raised for other files and
-    unsupported variants."""
+    """Read the header of a Netpbm file or of its bytes; `InputError` for other files."""
     if data is None:
         with file.open("rb") as stream:
             data = stream.read(1 << 16)  # comments may be long

@@ -34,8 +34,7 @@ def unlike(place: object, fault: str) -> InputError:
 
 
 def file_at(path: str | os.PathLike[str], kind: str = "") -> Path:
-    """Return the path of an existing file; `InputError` if there is none. `kind`, such as "scene",
-    is used in the message."""
+    """Return the path of an existing file; `InputError` if there is none of this `kind`."""
     file = Path(path)
     if not file.is_file():
         what = f"{kind} file".strip()
@@ -44,9 +43,7 @@ def file_at(path: str | os.PathLike[str], kind: str = "") -> Path:
 
 
 def check_content(place: str, content: Any) -> None:
-    """Raise `InputError` for content that is nested too deeply, and for numbers and names that are
-    too long. `place` names the file.
-    """
+    """Refuse content that is nested too deeply, or has too long numbers or names."""
     waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
     while waiting:
         value, path = waiting.pop()

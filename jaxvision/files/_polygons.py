@@ -24,9 +24,7 @@ _PLY_TYPES = {
 
 
 def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
-    """Divide each polygon of at least three corners into triangles, (triangles, 3), given as
-    indices into the polygon's list of corners. `vertices` are in m.
-    """
+    """Divide each polygon into triangles, (triangles, 3) indices into its list of corners."""
     counts = np.array([len(one) for one in polygons])
     found = [fan(count) for count in counts]
     for count in np.unique(counts[counts > 3]):
@@ -52,8 +50,7 @@ def are_fans(pieces: list[np.ndarray]) -> bool:
 
 
 def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Divide a polygon by ear clipping, projected along the coordinate axis nearest to its normal.
-    A polygon that intersects itself is divided by the fan."""
+    """Divide a polygon by ear clipping along its main axis; the fan if it intersects itself."""
     axis = int(np.abs(normal).argmax())
     x, y = np.delete(corners, axis, axis=1).T
     if (normal[axis] < 0) != (axis == 1):  # x and z are seen from behind
@@ -83,8 +80,7 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def obj_in_triangles(text: str) -> str | None:
-    """Return the text of an OBJ file with its polygons divided into triangles, or None if all
-    polygons are convex. Continued lines must have been joined."""
+    """Return an OBJ text (continued lines joined) in triangles, or None if all are convex."""
     if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):
         return None
     lines = text.splitlines()
@@ -112,8 +108,7 @@ def obj_in_triangles(text: str) -> str | None:
 
 
 def polygons_of(file: Path) -> Polygons | None:
-    """Return the polygons of a PLY or OFF file in order, or None if the file contains only
-    triangles or this module cannot read it."""
+    """Return the polygons of a PLY or OFF file, or None for triangles or an unknown file."""
     try:
         found = (
             _off_polygons(file)
@@ -162,8 +157,7 @@ def ply_of_corners(data: bytes) -> bytes | None:
 
 
 def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
-    """Return the format of a PLY file, its elements with their counts and properties, and the
-    position of the first number."""
+    """Return the format of a PLY file, its elements, and the position of the first number."""
     end = data.index(b"end_header")
     head = [line.split() for line in data[:end].decode("latin-1").splitlines()]
     kind = next(words[1] for words in head if words[:1] == ["format"])
@@ -177,8 +171,7 @@ def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]],
 
 
 def _ply_polygons(data: bytes) -> Polygons:
-    """Return the corner lists of the faces of a PLY file. For a binary file, return an empty list
-    if its faces have different numbers of corners."""
+    """Return the corner lists of a PLY file; [] for a binary file of unequal polygons."""
     kind, elements, start = _ply_head(data)
     if kind == "ascii":
         lines = iter(line.split() for line in data[start:].decode("latin-1").splitlines())

@@ -135,8 +135,7 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
 
 
 def _pixel_sequence(file: Path, data: bytes, count: int) -> np.ndarray:
-    """Unpack pixels that are stored one after another, (count, 4). An entry may state that the
-    previous pixel is repeated."""
+    """Unpack single pixels, (count, 4), some of which repeat the previous one."""
     pixels = np.frombuffer(data[: len(data) // 4 * 4], np.uint8).reshape(-1, 4)
     repeats = np.flatnonzero((pixels[:count, :3] == 1).all(axis=1))
     if not len(repeats):

@@ -59,8 +59,7 @@ class TiffPicture:
 
 
 def tiff_pictures(file: Path) -> list[TiffPicture]:
-    """Read the tags of the pictures in a TIFF file's main chain and in their subdirectories, up to
-    any damage. The list is empty for a file that is not TIFF."""
+    """Read the tags of a TIFF's pictures and SubIFDs up to any damage; [] for other files."""
     with file.open("rb") as stream:
         head = stream.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
@@ -85,8 +84,7 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
 
 @dataclass(frozen=True)
 class _Layout:
-    """The binary layout of a TIFF file: its byte order, and whether it has the 8-byte words of
-    BigTIFF."""
+    """The layout of a TIFF file: its byte order, and whether it has BigTIFF's 8-byte words."""
 
     order: str
     big: bool
@@ -95,8 +93,7 @@ class _Layout:
         return struct.unpack(f"{self.order}{'Q' if self.big else 'I'}", data)
 
     def directory(self, stream: BinaryIO, here: int) -> tuple[TiffPicture, int]:
-        """Read the tags of the directory at an offset in the file, and the offset of the next
-        directory."""
+        """Read the tags of the directory at an offset, and the offset of the next one."""
         word, count_letter, entry = ("Q", "Q", 20) if self.big else ("I", "H", 12)
         order, at = self.order, struct.calcsize(word)
         stream.seek(here)

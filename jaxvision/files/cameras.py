@@ -202,8 +202,7 @@ def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
 def _fill_sensitivities(
     reading: Reading, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
-    """Return the table `[sensor]` with the name of measured sensitivities replaced by their
-    numbers."""
+    """Return the table `[sensor]` with numbers in place of named sensitivities."""
     table, colours = dict(sensor), sensor.get("colour_filter")
     if not isinstance(colours, Mapping) or "sensitivities" not in colours:
         return table

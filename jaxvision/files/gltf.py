@@ -41,8 +41,7 @@ class Gltf:
     files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
-        """Return an entry of an array at the root of the JSON, such as "nodes"; `InputError` if
-        there is none."""
+        """Return an entry of an array at the root, such as "nodes"; `InputError` if none."""
         array = self.content.get(kind, [])
         known = isinstance(array, list) and type(index) is int and 0 <= index < len(array)
         if not known or not isinstance(array[index], dict):
@@ -83,8 +82,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """Raise `InputError` for a node that has both a matrix and another transform, or a rotation of
-    length 0."""
+    """Refuse a node with a matrix beside another transform, or a rotation of length 0."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):
@@ -206,8 +204,7 @@ def _buffer(file: Gltf, index: Any) -> bytes:
 
 
 def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
-    """Return the value of a key, or None if the key is neither text nor a number, which happens in
-    a damaged file."""
+    """Return the value of a key; None for one that is no text or number, in a damaged file."""
     return table.get(key) if isinstance(key, str | int) else None
 
 

@@ -138,8 +138,7 @@ def _exif_settings(file: Path, said: Mapping[str, Any]) -> ImageSettings:
 
 
 def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
-    """Return the number of bits of the codes in a PNG, TIFF, JPEG or TGA file, or None if its
-    samples are not codes."""
+    """Return the bits of the codes of a PNG, TIFF, JPEG or TGA; None for other samples."""
     whole = said.get(_CODES)
     if chunks := png_chunks(file, head=True):
         return chunks.bits if whole else None
@@ -157,8 +156,7 @@ def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
     def said(name: str) -> Any:
-        """Return an EXIF value of the photograph. TIFF/EP and DNG may store the value in the main
-        directory of the TIFF file."""
+        """Return an EXIF value, which TIFF/EP and DNG may hold in the main directory."""
         return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
 
     with opened_raw(file) as raw:
@@ -279,8 +277,7 @@ def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
 
 
 def _is_bayer(letters: str) -> bool:
-    """Return whether the letters are a phase of the Bayer mosaic, with the two greens on a
-    diagonal."""
+    """Return whether letters are a phase of the Bayer mosaic, with diagonal greens."""
     return letters in ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
@@ -329,8 +326,7 @@ def _seconds(time: Any, speed: Any) -> float | None:
 
 
 def _f_number(stop: Any, aperture: Any) -> float | None:
-    """Return the f-number, or 2^(aperture / 2) if EXIF contains only the APEX aperture. A lens
-    without electric contacts states an aperture of 0, which is ignored."""
+    """Return the f-number, or 2^(aperture / 2) from an APEX aperture, which is 0 if unknown."""
     value = _positive(aperture)
     if stop is not None or value is None or value > 64:
         return _positive(stop)

@@ -247,8 +247,7 @@ def _open(file: Path) -> Iterator[Any]:
 
 
 def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
-    """Read the channels `chosen` of one picture of the file, (h, w, channels), in the order of
-    `chosen`."""
+    """Read the channels `chosen` of a picture, (h, w, channels), in that order."""
     first, last = min(chosen), max(chosen) + 1
     spec = source.spec(number, 0)
     wanted = "float" if sample == "half" else sample
@@ -263,8 +262,7 @@ def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample:
 def _place(
     file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
 ) -> tuple[int, str | None]:
-    """Return the index of the picture to read and the name of its layer, and warn of all other
-    pictures in the file."""
+    """Return the index of the picture to read and its layer; warn of all others."""
     titles = [f"number {i}" for i in range(len(pages))]  # for a TIFF, without reading every page
     while not pages and source.seek_subimage(len(titles), 0):
         named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
@@ -375,8 +373,7 @@ def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
 def _stored_codes(
     file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> np.ndarray:
-    """Return the codes as stored in the file, from codes that the decoder has stretched to 8 or 16
-    bits."""
+    """Return the codes as stored, which the decoder has stretched to 8 or 16 bits."""
     if not np.issubdtype(pixels.dtype, np.integer):
         if page and page.first(tiff.PHOTOMETRIC, 1) == tiff.WHITE_IS_ZERO:
             raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
@@ -397,8 +394,7 @@ def _stored_codes(
 
 
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
-    """Return the codes before they were stretched to the bit depth of a PNG file, if the sBIT chunk
-    states that they were."""
+    """Return the codes before a stretch to the depth of a PNG file that sBIT states."""
     if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
         return pixels
     source = chunks.bits
@@ -452,8 +448,7 @@ def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
 def _warn_of_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
-    """Warn about metadata, such as an orientation, that change the meaning of the codes but are not
-    applied to the array."""
+    """Warn about metadata that change the meaning of the codes and are not applied."""
     said = [
         f"its picture of {x.first(tiff.ROWS)} x {x.first(tiff.COLUMNS)} and "
         f"{x.first(tiff.BITS, 1)} bits in a SubIFD: export it as a file of its own"
@@ -515,8 +510,7 @@ def _differs(number: str, plain: float) -> bool:
 
 
 def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
-    """Return the picture in the display window of an EXR, black outside the data that the file
-    contains."""
+    """Return the display window of an EXR, black outside the data of the file."""
     rows, columns = spec.full_height, spec.full_width
     top, left = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = pixels.shape[:2]

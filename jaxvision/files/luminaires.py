@@ -118,8 +118,7 @@ class _Numbers:
         return found
 
     def end(self) -> None:
-        """Check that all numbers of the file have been used. A decimal comma would turn one number
-        into two."""
+        """Refuse numbers left over; a decimal comma would turn one number into two."""
         left = self.words[self.taken :]
         if left and _is_number(left[0]):
             self.fail(
@@ -212,9 +211,7 @@ def _check_polar(numbers: _Numbers, vertical: np.ndarray) -> None:
 def _whole_turn(
     numbers: _Numbers, angles: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complete the planes of a type C lamp to 360 degrees. The first and last angle imply the
-    symmetry.
-    """
+    """Complete the planes of a type C lamp to 360 degrees, by the symmetry of its ends."""
     if len(angles) == 1:
         return angles[:1], table
     ends = float(angles[0]), float(angles[-1])
@@ -238,8 +235,7 @@ def _whole_turn(
 def _fill_turn(
     angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complete the planes to 360 degrees. For each m in `mirrors`, the planes are mirrored about
-    the angle m / 2: h becomes m - h."""
+    """Complete planes to 360 degrees, mirrored to m - h for each m in `mirrors`."""
     for mirror in mirrors:
         angles = np.concatenate([angles, mirror - angles])
         table = np.concatenate([table, table], axis=1)
@@ -249,8 +245,7 @@ def _fill_turn(
 
 
 def _mirror(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Extend columns at angles from 0 upward to negative angles: the value at -h equals the value
-    at h."""
+    """Extend columns to negative angles: the value at -h is that at h."""
     whole = np.concatenate([table[:, :0:-1], table], axis=1)
     return np.concatenate([-angles[:0:-1], angles]), whole
 
@@ -267,8 +262,7 @@ def _lamp(
     name: str,
     stated: float = 0.0,
 ) -> Luminaire:
-    """Make the luminaire, after plausibility checks. `stated` is the light output ratio in the
-    file, in per cent, or 0 if the file states no ratio."""
+    """Make the luminaire, if plausible. `stated`: light output ratio, per cent; 0 for none."""
     if table.min() < 0 or table.max() > _BRIGHTEST:
         numbers.fail(
             f"candela values run from {table.min():g} to {table.max():g} cd, where a lamp has 0 to "

@@ -112,8 +112,7 @@ def read_mesh(
 
 
 def _commented_unit(file: Path) -> str | None:
-    """Return the unit of length that a comment in the first lines of an OBJ or PLY file states, or
-    None."""
+    """Return the unit of length in a comment at the top of an OBJ or PLY, or None."""
     if file.suffix.lower() not in (".obj", ".ply"):
         return None
     with file.open("rb") as opened:
@@ -186,8 +185,7 @@ def _nonempty_triangles(
 
 
 def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
-    """Warn if a mesh is so far from the origin that rounding changes its triangles or its
-    position."""
+    """Warn if rounding changes a mesh, or its place, far from the origin."""
     before, after = (
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for corners in (exact[faces], vertices[faces].astype(float))
@@ -218,8 +216,7 @@ def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
 
 @lru_cache(maxsize=1)
 def _gltf(file: Path, _changed: int) -> Gltf:
-    """Read a glTF file. The content is cached for reading further primitives, as long as the
-    modification time of the file does not change."""
+    """Read a glTF file once for all its primitives, as long as it does not change."""
     return read_gltf(file)
 
 

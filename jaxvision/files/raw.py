@@ -64,8 +64,7 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """Open a raw file as a `rawpy.RawPy` for a `with` block. Raise `InputError` if the file is
-    damaged, or if the `raw` extra is not installed."""
+    """Open a raw file as a `rawpy.RawPy`; `InputError` if damaged, or without the extra."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -141,8 +140,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """Open a FITS file as an `astropy.io.fits.HDUList` for a `with` block. Raise `InputError` if
-    the file is damaged, or if the `fits` extra is not installed."""
+    """Open a FITS file as an `HDUList`; `InputError` if damaged, or without the extra."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -155,8 +153,7 @@ def opened_fits(file: Path) -> Iterator[Any]:
 
 
 def fits_header(file: Path) -> dict[str, Any]:
-    """Read the header of the first image of a FITS file and of the file's first HDU, as values by
-    keyword. Raise `InputError` as `read_fits` does."""
+    """Read the headers of the first image and the first HDU of a FITS file, by keyword."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` warns of them
@@ -190,8 +187,7 @@ def listed(words: Sequence[str], *, most: int = 6) -> str:
 
 
 def extra(module: str, name: str, file: Path) -> Any:
-    """Import a module of the extra `name`. If it is not installed, an `InputError` names the file
-    that needs it."""
+    """Import a module of the extra `name`; `InputError` if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:

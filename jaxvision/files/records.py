@@ -74,8 +74,7 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """Return the table from which `record_of` makes the same record. The table has the key `kind`
-    and the fields that are not None."""
+    """Return the table, with `kind` and fields not None, from which `record_of` makes it."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -182,8 +181,7 @@ class Reading(NamedTuple):
 
     @contextmanager
     def placed(self, where: str = "") -> Iterator[None]:
-        """Add the names of the file and of the key `where` to the errors in a `with` block, unless
-        an error already has these names."""
+        """Add the names of the file and key to errors in a `with` block that lack them."""
         try:
             yield
         except (TypeError, ValueError) as error:
@@ -223,8 +221,7 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
 def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
-    """Make a record, by its class or by the function that makes it, from the table of values at the
-    key `where`. Raise `InputError` for a wrong key or value."""
+    """Make a record, by its class or function, from the table at the key `where`."""
     values = values_of(reading, where, keys_of(make), table)
     with reading.placed(where):
         return make(**values)
@@ -233,8 +230,7 @@ def record_of(
 def values_of(
     reading: Reading, where: str, keys: Mapping[str, Key], table: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Convert the values of a table to the types of their keys. Raise `InputError` for a wrong key
-    or value."""
+    """Convert the values of a table to the types of their keys."""
     check_keys(reading, where, table, keys)
     for name, key in keys.items():
         if key.default is MISSING and name not in table:
@@ -246,8 +242,7 @@ def values_of(
 
 
 def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
-    """Convert the value at the key `where` to its type: lists to tuples, numbers to arrays.
-    `InputError` is raised for a value of another type."""
+    """Convert the value at `where` to its type: lists to tuples, numbers to arrays."""
     kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
     for kind in kinds:
         with reading.placed(where):
@@ -283,8 +278,7 @@ _PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
 
 
 def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
-    """Return the word at the key `where`. For an unknown word, raise `InputError`, which suggests
-    the nearest known word."""
+    """Return the word at `where`; for an unknown one, suggest the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
         raise reading.wrong(f"{where} = {shorten(value)} is unknown; {hint}.")
@@ -298,8 +292,7 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """Make the record of a field. The type of the record is the only possible type, or the type
-    that the key `kind` names."""
+    """Make the record of a field, of the only possible type or that of the key `kind`."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         what = "no table" if {bool, str} & {*hints} else "a number, not a table"
@@ -336,8 +329,7 @@ def _tuple(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> 
 
 
 def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
-    """Convert a number or nested lists to an array, and check the range that the annotation
-    states."""
+    """Convert a number or nested lists to an array in the range of the annotation."""
     array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
 
     def place(number: int) -> str:
@@ -379,8 +371,7 @@ def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
 
 
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
-    """Raise `InputError` for an unknown key in the table at `where`; the message suggests the
-    nearest known key."""
+    """Refuse an unknown key in the table at `where`, and suggest the nearest."""
     for key in table:
         if key not in known:
             name, hint = f"{where}.{key}".lstrip("."), nearest(key, known)

@@ -36,8 +36,7 @@ class Entry(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Show `float` without its range in signatures and `help`, because the documentation of the
-        attributes states the range."""
+        """Show `float` without its range in `help`, where the attributes state it."""
         plain = get_type_hints(cls)
         whole = signature(cls)
         said = [x.replace(annotation=plain[x.name]) for x in whole.parameters.values()]
@@ -144,8 +143,7 @@ def _first_mistake(
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
-    """Return the text of a location, such as `surface "left wall".corner`. Parts of the location
-    that only name a member of a union type are omitted."""
+    """Return the text of a location, such as `surface "left wall".corner`, without unions."""
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
@@ -162,16 +160,14 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
 
 
 def _call_lists(place: str, called: Mapping[str, str]) -> str:
-    """Replace a location such as `flat[0].exposure` by `exposures[0]`, if `called` maps
-    "flat.exposure" to "exposures"."""
+    """Replace `flat[0].exposure` by `exposures[0]` for {"flat.exposure": "exposures"}."""
     within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
     name = called.get(f"{within[1]}.{within[3]}") if within else None
     return f"{name}{within[2]}{place[within.end() :]}" if within and name else place
 
 
 def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
-    """Return the known keys of the table at a location, which is a sequence of keys and array
-    indices."""
+    """Return the known keys of the table at a location."""
     models = [schema]
     for part in loc:
         within = [m.model_fields[part].annotation for m in models if part in m.model_fields]

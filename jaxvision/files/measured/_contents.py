@@ -16,8 +16,7 @@ TURN = 6.2832  # rad, 2 pi rounded up to the digits in files
 
 
 def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Return a mask of the values, in any unit, that are finite in JAX's default dtype, as records
-    require."""
+    """Return a mask of the values that are finite in JAX's default dtype."""
     with np.errstate(over="ignore"):
         return np.isfinite(np.asarray(values).astype(jnp.result_type(float)))
 

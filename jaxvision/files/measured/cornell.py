@@ -45,8 +45,7 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
 
 
 def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
-    """Return the rows of numbers in a text file with their line numbers, without comments and empty
-    lines."""
+    """Return rows of numbers with their line numbers, without comments."""
     try:
         lines = data.decode("ascii").splitlines()
     except UnicodeDecodeError as error:

@@ -29,8 +29,7 @@ MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
 def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Replace every invalid bin of values, (bins..., bands), by the nearest valid bin. The distance
-    is counted in bins, and phi_d is periodic."""
+    """Replace invalid bins, (bins..., bands), by the nearest valid; phi_d is periodic."""
     from scipy.ndimage import distance_transform_edt
 
     turn = valid.shape[2]

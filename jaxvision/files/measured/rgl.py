@@ -74,8 +74,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
 
 
 def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
-    """Return the number of equal azimuth sectors into which the material's symmetry divides a full
-    circle. Raise `InputError` if values are out of range."""
+    """Return the equal sectors of azimuth by symmetry; refuse values out of range."""
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():

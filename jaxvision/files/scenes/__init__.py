@@ -203,8 +203,7 @@ def _digest(*records: object) -> str:
 
 
 def _names(kind: str, entries) -> tuple[str, ...]:
-    """Return, for each entry, the name that messages use: the entry's key `name`, or its position
-    in the file."""
+    """Return the name of each entry in messages: its key `name`, or its position."""
     return tuple(
         f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
@@ -218,8 +217,7 @@ def _check_rounding(
     exact: tuple[Scene, View],
     rounded: tuple[Scene, View],
 ) -> None:
-    """Raise `InputError` for the first object that cannot be represented in the dtype of the
-    rendering. Warn of objects whose coordinates have large rounding errors in this dtype."""
+    """Refuse objects that the rendering's dtype cannot hold; warn of coarse ones."""
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
         *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),

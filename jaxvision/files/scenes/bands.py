@@ -99,8 +99,7 @@ Spectrum = np.ndarray | Tabulated
 
 
 def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
-    """Read a spectrum from the value of a key in a scene file. `InputError` is raised for other
-    values."""
+    """Read a spectrum from the value of a key in a scene file."""
     if isinstance(value, Mapping):
         return record_of(reading, where, Tabulated, value)
     return value_of(reading, where, Annotated[Float[Array, "..."], NOT_NEGATIVE], value)
@@ -261,8 +260,7 @@ def _table_of(
 
 
 def _samples(bands: Bands) -> np.ndarray:
-    """Return the wavelengths, in m, at which spectra are evaluated: the wavelengths of the bands,
-    or the visible range for RGB."""
+    """Return the wavelengths, m, of the bands, or the visible range for RGB."""
     if bands.wavelengths is not None:
         return bands.wavelengths
     if bands.count != 3:
@@ -274,8 +272,7 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Compute the linear sRGB colour, (wavelengths, 3), relative, of a reflectance or a light that
-    is 1 at one wavelength, in m, and 0 at the others."""
+    """Compute linear sRGB, (wavelengths, 3), of what is 1 at one wavelength, in m, alone."""
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":

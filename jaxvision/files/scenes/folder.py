@@ -12,8 +12,7 @@ class Folder:
         self._start = scene_file.parent
 
     def file(self, name: str) -> Path:
-        """Return the path of the file with that name, relative to the folder. Raise `InputError` if
-        there is no such file."""
+        """Return the path of a file relative to the folder; `InputError` if there is none."""
         path = self._start / name
         if not path.is_file():
             raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")

@@ -81,8 +81,7 @@ class RenderEntry(Entry):
 
 
 def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
-    """Return the names of the settings that are given (not None) but that an integrator does not
-    use."""
+    """Return the names of the given settings that an integrator does not use."""
     return [name for name in _IDLE[integrator] if given.get(name) is not None]
 
 

@@ -112,8 +112,7 @@ def _words(head: str) -> set[str]:
 
 
 def _along(file: Path, heads: list[str]) -> int:
-    """Return the index of the column of wavelengths: the first column whose header names
-    wavelengths or a unit of wavelength, or else the first column."""
+    """Return the first column named as wavelengths or by their unit, or the first."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH
     named = [n for n, words in enumerate(sure) if words & _WAVELENGTH]
@@ -127,8 +126,7 @@ def _along(file: Path, heads: list[str]) -> int:
 
 
 def _only(file: Path, others: list[str], quantity: str) -> str:
-    """Return the header of the only column of values; `InputError` if several columns could be
-    meant."""
+    """Return the header of the only column of values; refuse if it is not clear."""
     left = [h for h in others if not (_words(h) <= _INDEX or _words(h) & _UNCERTAINTY)]
     named = [h for h in left if _words(h) & _VALUES[quantity]]
     chosen = left if len(left) == 1 else named

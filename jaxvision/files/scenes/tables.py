@@ -325,8 +325,7 @@ def _name_of(record: type) -> str:
 
 
 def keys_of_kind(table: Table) -> dict[str, Key]:
-    """Return the keys in the table of a light or a material. A material with the field `diffuse`
-    also accepts `albedo` in its place."""
+    """Return the keys of a light or material, with `albedo` beside `diffuse`."""
     keys = keys_of(table.make, record=table.record)
     if "diffuse" not in keys or not issubclass(table.record, Material):
         return keys
@@ -340,8 +339,7 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 
 
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
-    """Return the `Reading` settings for the tables of a scene file whose spectra are all of the
-    given quantity."""
+    """Return the `Reading` of a scene file's tables, with spectra of one quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
         if isinstance(value, Mapping) and {"map", "texels"} & set(value):

@@ -20,8 +20,7 @@ def shipped_files(kind: Kind) -> tuple[str, ...]:
 
 
 def existing_file(path: str | os.PathLike[str], kind: Kind) -> Path:
-    """Return the path of an existing file, given by its path or name; `InputError` if there is
-    none."""
+    """Return the path of a file given by path or name; `InputError` if none."""
     file, known = Path(path), shipped_files(kind)
     if file.is_file():
         return file

@@ -96,8 +96,7 @@ def _item(items: tuple, index: int, label: str):
 
 
 def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
-    """Convert a light at the position of its node. A light with a direction shines along the node's
-    -z."""
+    """Convert a light at its node, along whose -z it shines."""
     if light.type not in ("point", "directional", "spot"):
         raise InputError(
             f"a light of type {light.type!r} is not read, only 'point', 'directional' and 'spot'; "

@@ -32,8 +32,7 @@ class Perspective(Named):
 
 
 class Parallel(Named):
-    """A camera with parallel projection; `xmag` and `ymag` are half the width and half the height
-    of the picture, in m."""
+    """A camera with parallel projection, of half width `xmag` and half height `ymag`, m."""
 
     xmag: Positive
     ymag: Positive
@@ -90,8 +89,7 @@ class NodeExtensions(Entry):
 
 
 class Node(Named):
-    """A node, an object of the array `nodes`, with the columns of its `matrix`, or with a
-    translation (m), a rotation (x, y, z, w) and a scale."""
+    """A node, with a `matrix` by columns, or a translation (m), rotation (x, y, z, w), scale."""
 
     children: tuple[Index, ...] = ()
     mesh: Index | None = None
@@ -159,8 +157,7 @@ class Texture(Named):
 
 
 class Sampler(Named):
-    """A sampler, an object of the array `samplers`, with filters and wrapping as numbers of
-    OpenGL."""
+    """A sampler, with filters and wrapping as numbers of OpenGL."""
 
     magFilter: Any = None
     minFilter: Any = None
@@ -169,8 +166,7 @@ class Sampler(Named):
 
 
 class Roughness(Entry):
-    """The object `pbrMetallicRoughness` of a material. The roughness is the square root of the GGX
-    parameter alpha."""
+    """The object `pbrMetallicRoughness`; its roughness is the root of GGX's alpha."""
 
     baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
     baseColorTexture: Used | None = None
@@ -264,8 +260,7 @@ class Content(Entry):
 
 
 def content_of(path: object, content: Mapping[str, Any]) -> Content:
-    """Convert the JSON of the file at `path` to records; `InputError` for the first key or value
-    that is not supported."""
+    """Convert the JSON of the file at `path` to records; refuse the first fault."""
     try:
         return Content.model_validate(content)
     except ValidationError as error:

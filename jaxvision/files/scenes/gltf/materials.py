@@ -92,8 +92,7 @@ def normals_of(
 
 
 def _glass(material: Material, label: str) -> dict[str, Any]:
-    """Convert a transmissive material to smooth glass, clear or absorbing, that encloses a
-    volume."""
+    """Convert a transmissive material to smooth glass that encloses a volume."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     volume = more.KHR_materials_volume
     smooth = surface.roughnessFactor == 0 and surface.metallicFactor == 0

@@ -63,8 +63,7 @@ def texels_of(
 def match_sizes(
     one: tuple[np.ndarray, dict[str, Any]], other: tuple[np.ndarray, dict[str, Any]], label: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Repeat the texels of two textures that are used together until both have the same size; no
-    unit."""
+    """Repeat the texels of two textures until both have the same size."""
     if one[1] != other[1]:
         raise InputError(f"{label}: its textures are placed differently; place them alike.")
     sizes = [np.array(x.shape[:2]) for x, _ in (one, other)]

@@ -58,8 +58,7 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
-    """Convert a shape with its BSDF and its area light. A shape with an area light reflects only if
-    the shape states a BSDF."""
+    """Convert a shape with its BSDF and area light; with a light alone, it is black."""
     bsdf, emitter = node.only("bsdf"), node.only("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False
@@ -92,8 +91,7 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_coordinates(node: Node, surface: dict[str, Any], mapped: bool) -> None:
-    """Raise `InputError` for a textured shape if its texture coordinates differ from the texture
-    coordinates of the record that replaces the shape."""
+    """Refuse a texture whose coordinates differ from those of our record."""
     turned = node.take("to_world", np.ndarray, np.eye(4))[:3, :3]
     usual = node.take("flip_tex_coords", bool, node.kind == "obj") == (node.kind == "obj")
     if not mapped:

@@ -244,8 +244,7 @@ class _Reader:
             yield from self._flatten(root) if root.tag == "scene" else (root,)
 
     def _attributes(self, element: xml.Element) -> dict[str, str]:
-        """Return the attributes of an element, with `$names` replaced by their values, and with
-        parameter names as in version 2."""
+        """Return attributes with `$names` filled in and names as in version 2."""
         given = {key: self._fill_defaults(value) for key, value in element.attrib.items()}
         if self._old and "name" in given:
             given["name"] = re.sub(

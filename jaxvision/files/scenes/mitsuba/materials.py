@@ -153,8 +153,7 @@ _FAMILIES = {
 
 
 def _reflects_all(node: Node) -> bool:
-    """Return whether a metal has neither a refractive index nor the name of a material, so that it
-    reflects all light."""
+    """Return whether a metal has neither an index nor a name, so reflects all."""
     given = {"eta", "k"} <= set(node.values)
     name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":

@@ -62,8 +62,7 @@ def light_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def index_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return the real or the imaginary part of a metal's complex refractive index, selected by its
-    name, no unit."""
+    """Return a part, by its name, of a metal's complex refractive index."""
     value = node.take(name, SPECTRUM, otherwise)
     if isinstance(value, Table):
         raise node.wrong(

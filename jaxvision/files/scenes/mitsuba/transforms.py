@@ -61,8 +61,7 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str) -> Affine:
-    """Return the map of a camera at `origin` that looks at `target`. Mitsuba's camera looks along
-    its z axis with y up, so its x axis points to the left."""
+    """Return the map of a camera that looks along z with y up, so its x points left."""
     forward = target - origin
     left = np.cross(up, forward)
     if not forward.any() or np.linalg.norm(left) <= 1e-9 * np.linalg.norm(forward):
@@ -75,8 +74,7 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str)
 
 
 def _vector(given: Mapping[str, str], place: str, *, otherwise: float) -> np.ndarray:
-    """Read a vector from the attribute `value`, which holds three numbers or one number for all
-    axes, or from the attributes `x`, `y` and `z`."""
+    """Read `value`, with one or three numbers, or the attributes `x`, `y` and `z`."""
     if "value" in given:
         several = len(given["value"].replace(",", " ").split()) > 1
         return np.broadcast_to(_words(given["value"], place, 3 if several else 1), 3)
@@ -105,8 +103,7 @@ def keeps_right_angles(to_world: Affine, *, axes: int = 3) -> bool:
 
 
 def keeps_shape(to_world: Affine, *, axes: int = 3) -> bool:
-    """Return whether the coordinate axes are still perpendicular and equally long after the
-    transform."""
+    """Return whether axes stay perpendicular and equally long."""
     lengths = lengths_of_axes(to_world)[:axes]
     return keeps_right_angles(to_world, axes=axes) and bool(np.ptp(lengths) <= 1e-5 * lengths.max())
 
