@@ -27,8 +27,7 @@ LONGEST_TAIL = 0.75  # longest drawn tail beyond the 95 % interval, in widths of
 def corner_figure(
     posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
 ) -> "Figure":
-    """Draw the joint distribution of every pair of parameters, with 68 and 95 % regions. `truth`
-    marks true values by (parameter, channel)."""
+    """Draw every pair of parameters, with 68 and 95 % regions; `truth` by (parameter, channel)."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import ScalarFormatter
 
@@ -98,8 +97,7 @@ def corner_figure(
 
 
 def _label(parameter: Parameter, *, in_percent: bool) -> str:
-    """Return the axis label of a parameter, with the unit below the symbol, because panels are
-    narrow."""
+    """Return the axis label of a parameter, with the unit below the symbol."""
     axis = format_axis(parameter.symbol, "%" if in_percent else parameter.unit)
     return f"{'Δ' if in_percent else ''}{axis}".replace(" [", "\n[")
 
@@ -114,8 +112,7 @@ def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
 
 
 def trace_figure(posterior: Posterior) -> "Figure":
-    """Draw the values of some chains over the step after burn-in. A converged chain looks like
-    stationary noise."""
+    """Draw some chains over the step; a converged chain looks like stationary noise."""
     figure = trace(posterior.by_name)
     for axes, parameter in zip(figure.axes, posterior.space, strict=True):
         axes.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)

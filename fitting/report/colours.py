@@ -14,8 +14,7 @@ OF_TAPS = "0.5", "tab:orange", "tab:purple", "tab:cyan"
 
 
 def colour_of(channel: str) -> str:
-    """Return the colour in which a channel is drawn, such as red for `red tap 0,1`. If the channels
-    are only taps, each tap has its own colour."""
+    """Return the colour of a channel; of taps alone, each has its own."""
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]

@@ -19,8 +19,7 @@ PLAIN_WIDTH = 110  # columns if the output is not a terminal
 
 
 def output() -> Console:
-    """Return a console on standard output, with the width of the terminal, or of 110 characters in
-    a pipe."""
+    """Return a console on standard output, as wide as the terminal, or 110 characters."""
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
 
 
@@ -121,8 +120,7 @@ def _columns_of_names(content: Table) -> int:
 
 
 def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
-    """Return the width that remains after the longest words of these columns and the frame of the
-    table; negative if these do not fit."""
+    """Return the width left by the longest words of these columns; negative if too narrow."""
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 

@@ -26,8 +26,7 @@ DISPLAY_GAMMA = 2.2
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """Return the section with the list of the rig's images added, and with findings on keys of the
-    rig that had no effect."""
+    """Return the section with the rig's images, and findings on keys without effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     region = rig.camera.region
@@ -84,8 +83,7 @@ def _setting(name: str, value: Any) -> str:
 
 
 def small_picture(rig: Rig, name: str) -> str | None:
-    """Make a thumbnail of an image of a rig, as a base64-encoded PNG; None if the image cannot be
-    read."""
+    """Make a thumbnail as a base64-encoded PNG; None if the image cannot be read."""
     import matplotlib.image
 
     try:

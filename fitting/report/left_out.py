@@ -10,8 +10,7 @@ NOTHING = 1e-6  # s.d. below which digits are meaningless
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
-    """Return the table of errors that were neglected because they are too small to matter, with
-    upper bounds on their effect; empty if no error was neglected."""
+    """Return the table of neglected errors, with bounds on their effect; empty if none."""
     rows = tuple(
         (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
         for name, gone in channels

@@ -15,13 +15,11 @@ from .sheet import Cell, sheet
 
 
 class ShownInNotebooks:
-    """A base class for calibrations that notebooks and `print` display by their report section,
-    from the module `section` in the same package."""
+    """A base of calibrations that show the report section of their package's `section`."""
 
     @cached_property
     def section(self) -> Section:
-        """The report section of the calibration: estimates, findings, tables and figures.
-        `section.figure` draws a figure by name."""
+        """The report section: estimates, findings, tables, and figures by `section.figure`."""
         return _section_of(self)
 
     def _repr_html_(self) -> str:
@@ -40,8 +38,7 @@ def _section_of(calibration: ShownInNotebooks) -> Section:
 
 
 def _with_cost(section: Section) -> Section:
-    """Return the section with a finding on the errors of the fit's approximations, and on settings
-    that reduce these errors."""
+    """Return the section with a finding on the errors of the fit's approximations."""
     cost = cost_in_words(section.posteriors.values(), np.nan, argument="sampling")
     return replace(section, findings=(*section.findings, cost)) if cost else section
 

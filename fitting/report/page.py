@@ -37,8 +37,7 @@ def versions() -> dict[str, str]:
 
 
 def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
-    """Return the results as JSON text: estimates with units and intervals, findings, tables and
-    settings."""
+    """Return estimates with units and intervals, findings, tables and settings as JSON."""
     parts = ("kind", "title", "estimates", "findings", "tables", "settings", "inputs")
     content = {
         "created": _now(),
@@ -72,8 +71,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Write report, results, posterior draws and fitted records (such as a sensor) to a folder, and
-    return the paths of the files."""
+    """Write report, results, draws and fitted records to a folder; return the paths."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []
@@ -133,8 +131,7 @@ def _now() -> str:
 
 
 def _finite(content: Any) -> Any:
-    """Convert content to types that JSON can store: arrays become lists, and numbers that are not
-    finite become null."""
+    """Convert to JSON's types: arrays to lists, numbers that are not finite to null."""
     match content:
         case Input():
             return {part: getattr(content, part) for part in ("files", "kind", "settings", "bytes")}

@@ -21,8 +21,7 @@ class Reporter:
 
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
-        """Show `description` while the block of the `with` statement runs. Within the block, call
-        the yielded function with (done, total) to advance the bar."""
+        """Show `description` in a `with` block, which gets a function of (done, total)."""
         begun = printed = time.perf_counter()
         task = self._progress.add_task(description, total=None)
         terminal = self._progress.console.is_terminal
@@ -44,8 +43,7 @@ class Reporter:
 
 @contextmanager
 def reporting() -> Iterator[Reporter]:
-    """Show progress on standard error while the block of the `with` statement runs. If standard
-    error is not a terminal, progress is written as plain lines."""
+    """Show progress on standard error in a `with` block, as plain lines off a terminal."""
     console = Console(stderr=True, highlight=False)
     columns = (
         progress.SpinnerColumn(),

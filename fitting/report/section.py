@@ -163,8 +163,7 @@ def section_of_part(section: Section, part: str) -> Section:
 
 
 def failed_section(kind: str, title: str, why: str, *, known: Sequence[str] = ()) -> Section:
-    """Return the section of a calibration that failed, with the reason and with the findings
-    `known` before the failure."""
+    """Return the section of a failed calibration, with the reason and `known` findings."""
     return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
 
 

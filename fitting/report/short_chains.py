@@ -5,8 +5,7 @@ from .section import Section
 
 
 def without_short_chains(section: Section, *, kept: bool) -> Section:
-    """Return the section. If any of its chains is too short, the estimates are removed and the
-    reason is stated."""
+    """Return the section, without its estimates if a chain is too short."""
     short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:
         return section

@@ -56,8 +56,7 @@ def extrapolate(
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
-    """Return the curve and its covariance, with extrapolated values at codes below and above the
-    observed ones."""
+    """Return the curve and covariance, extrapolated below and above the observed codes."""
     places = np.flatnonzero(seen)
     if len(places) < FEWEST:
         return log_exposure, covariance
@@ -85,8 +84,7 @@ def _way(
     edge: int,
     beyond: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ln X at the codes `beyond` minus ln X at the last observed code `edge`, and the
-    variance of this difference."""
+    """Return ln X at the codes `beyond` minus that at the code `edge`, and its variance."""
     used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
     used = used[used != edge]
     both = np.concatenate([used, beyond])
@@ -156,8 +154,7 @@ def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndar
 
 @lru_cache(maxsize=8)
 def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]:
-    """Return ln X at the codes u for the curves of each kind. Each curve has an arbitrary additive
-    constant."""
+    """Return ln X at the codes u, up to a constant, for the curves of each kind."""
     u = np.array(shares)
     log_u = np.log(u)
     gammas = [g * log_u for g in np.linspace(1, 3, 9)]

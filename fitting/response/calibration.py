@@ -146,8 +146,7 @@ def _recalibrate_with_exact_times(
 
 
 def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
-    """Return the largest shutter error of the channels; 0 if no channel has a measurable shutter
-    error."""
+    """Return the largest shutter error of the channels; 0 if none is measurable."""
     return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
@@ -275,8 +274,7 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
 
 
 def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Crop planes to the size of the smallest, because mosaic sites of a frame with odd size differ
-    by a row or a column."""
+    """Crop planes to the smallest; sites of a frame of odd size differ by a row or column."""
     rows, columns = (min(plane.shape[axis] for plane in planes) for axis in (0, 1))
     return [plane[:rows, :columns] for plane in planes]
 
@@ -316,8 +314,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
 
 
 def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
-    """Insert the radiance map of a part of the frame into `whole`, scaled so that there is no step
-    at the border."""
+    """Insert the map of a part of the frame, scaled so that the border has no step."""
     own = part.radiance.radiance
     (row, column), (height, width) = part.plane.start, own.shape
     rows, columns = np.s_[row : row + height], np.s_[column : column + width]
@@ -336,8 +333,7 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
 
 
 def _border_values(lines: np.ndarray) -> np.ndarray:
-    """Extrapolate an image from its first two lines to the border half a line before the first
-    line."""
+    """Extrapolate the first two lines to the border, half a line before the first."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 

@@ -116,8 +116,7 @@ def _darker_p_value(
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
-    """Return a mask of the pixels within `MIXED` of a mask's pixels, without these and their direct
-    neighbours."""
+    """Return the pixels within `MIXED` of a mask, without its direct neighbours."""
     one, reach = mask.astype(np.float32), 2 * MIXED + 1
     wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
     return reach**2 * wide - 9 * narrow > 0.5

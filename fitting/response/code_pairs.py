@@ -212,8 +212,7 @@ def _pull_of_noise(
 
 
 def _mean_over_centre(x: np.ndarray) -> np.ndarray:
-    """Return sinh(x) / x, the mean of an exponential over an interval divided by its value in the
-    middle."""
+    """Return sinh(x) / x, the mean of an exponential over its value in the middle."""
     far = np.abs(x) > LEAST_ARGUMENT
     return np.where(far, np.sinh(x) / np.where(far, x, 1), 1)
 

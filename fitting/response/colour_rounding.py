@@ -65,8 +65,7 @@ def shared_rounding(
 
 
 def add_shared_rounding(curve: ResponseCurve, shared: Float[np.ndarray, "256"]) -> ResponseCurve:
-    """Return the curve with a covariance that includes two shared rounding errors: that of each
-    code, and that of the code at mid-scale, where g = 0."""
+    """Return the curve with shared rounding of each code and of mid-scale, where g = 0."""
     error = shared[np.rint(curve.codes).astype(int)] * np.gradient(curve.log_exposure, curve.codes)
     middle, variance = curve.bins.middle, error**2
     added = np.diag(variance) + variance[middle]

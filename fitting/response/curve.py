@@ -175,8 +175,8 @@ def slope_error(noise: NoiseModel) -> float:
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of a periodic error of g. Exposures cannot reveal an
-    error whose period is the step of ln t between them."""
+    """Return the sd, in ln X, of an error of g whose period is the step of ln t, which no image
+    shows."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))
@@ -187,8 +187,7 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
 
 
 def _room(smoothness: float) -> float:
-    """Return a factor, 0 to 1, on the errors for a rough curve. The factor decreases with the
-    smoothness."""
+    """Return a factor, 0 to 1, on the errors for a rough curve; it falls with smoothness."""
     return min(1.0, float(np.sqrt(LEAST_SMOOTHNESS / smoothness)))
 
 
@@ -308,8 +307,7 @@ def fit_response_curve(
 
 
 def _require_rising(curve: ResponseCurve) -> None:
-    """Raise InputError if a curve decreases strongly. No camera has such a curve, so the fit is at
-    a wrong optimum."""
+    """Refuse a curve that decreases strongly, as at a wrong optimum."""
     g, codes = curve.log_exposure[curve.seen], curve.codes[curve.seen]
     falls = np.maximum.accumulate(g) - g
     if falls.size and falls.max() > FALLS:
@@ -348,8 +346,7 @@ def _parts(
 
 
 def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.ndarray]:
-    """Return two masks: pixels that are well exposed in at least two images, and pixels that are
-    beyond mid-scale in at least one."""
+    """Return the pixels well exposed in two images, and those beyond mid-scale in one."""
     usable = np.where(bins.lookup >= 0, hat_rule(bins).by_bin[0][bins.lookup], 0) > 0
     bright = usable & (np.arange(len(usable)) > bins.centres[bins.middle])
     return usable[codes].sum(axis=0) >= 2, bright[codes].any(axis=0)
@@ -392,8 +389,7 @@ def _shutter_error(found: Solution) -> float | None:
 
 
 def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return the score and the information of the images about the visible shutter errors, without
-    their prior."""
+    """Return score and information about visible shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
     return precision @ found.free, information

@@ -28,8 +28,7 @@ LEGEND = 0.2  # share of the height of an axis for its legend
 
 
 def curve_figure(calibration: ResponseCalibration) -> "Figure":
-    """Draw log exposure against code, with data, 95 % band and best gamma; one panel for each group
-    of images."""
+    """Draw log exposure against code with data, 95 % band and best gamma, for each group."""
     figure, panels = _panels(calibration, height=3.4)
     for axis, channels in panels:
         for i, channel in enumerate(channels):
@@ -105,8 +104,7 @@ def departure_figure(calibration: ResponseCalibration) -> "Figure":
 
 
 def offsets_figure(calibration: ResponseCalibration) -> "Figure":
-    """Draw the offset of every image's exposure from its nominal time; one panel for each group of
-    images."""
+    """Draw the offset of each image's exposure from its nominal time, for each group."""
     figure, panels = _panels(calibration, height=2.8)
     for axis, channels in panels:
         for i, channel in enumerate(channels):
@@ -161,8 +159,7 @@ def radiance_figure(
 
 
 def coverage_figure(calibration: ResponseCalibration) -> "Figure":
-    """Draw, for each group, the number of exposures used for each pixel, in the channel that uses
-    the fewest exposures."""
+    """Draw the number of exposures used for each pixel, in the channel with the fewest."""
     figure, panels = _panels(calibration, height=4.0)
     drawn = None
     most = max(len(channels[0].plane.exposures) for _, channels in panels)

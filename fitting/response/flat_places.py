@@ -54,8 +54,7 @@ def correct_to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """Return a solution whose curve is corrected to that of flat places, if the correction is
-    significant."""
+    """Return the solution corrected to flat places, if that is significant."""
     size, phi = len(found.means), found.used.design_effect
     each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
     matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]

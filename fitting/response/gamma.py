@@ -273,8 +273,7 @@ def _undetectable(
 
 
 def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
-    """Return the mean of ln(code - black) over each bin of codes, minus the mean over the middle
-    bin."""
+    """Return the mean of ln(code - black) over each bin, minus that of the middle bin."""
     ends = np.log(np.maximum(curve.bins.edges - curve.bins.black - shift, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
@@ -298,8 +297,7 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
-    """Return the log posterior density of (ln gamma, ln tau), up to a constant, for a prior that is
-    flat in gamma."""
+    """Return the log posterior density of (ln gamma, ln tau), for a flat prior in gamma."""
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance
@@ -336,8 +334,7 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
 
 
 def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
-    """Return the least-squares gamma, with the shutter errors fixed at the estimates of the free
-    curve."""
+    """Return the least-squares gamma, with the shutter errors of the free curve."""
     matrix, size = curve.statistics.matrix, len(column)
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     return -float(
@@ -422,8 +419,7 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:
-    """Return measured minus modelled log exposure at observed codes, after subtraction of the
-    weighted mean of these differences."""
+    """Return measured minus modelled log exposure at observed codes, of weighted mean 0."""
     gap = np.where(curve.seen, curve.log_exposure - model, np.nan)
     weight = np.where(curve.seen, 1 / np.maximum(curve.standard_error, 1e-3) ** 2, 0)
     return gap - np.nansum(weight * gap) / weight.sum()

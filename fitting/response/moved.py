@@ -83,8 +83,7 @@ def moved_back(
 def _shift(
     one: Float[np.ndarray, "h w"], other: Float[np.ndarray, "h w"], full_scale: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the shift of the second image relative to the first, in rows and columns; 0 if no
-    shift is significant."""
+    """Return the shift, (rows, columns), of the second image; 0 if insignificant."""
     cuts = (_cut(one, other, q, full_scale) for q in QUANTILES)
     pairs = list(islice((pair for pair in cuts if pair is not None), CUTS))
     if not pairs:

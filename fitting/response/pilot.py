@@ -109,8 +109,7 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Return the degrees of freedom: the number of observations minus one unknown irradiance for
-    each pixel. Raises InputError if there are none."""
+    """Count the observations less one irradiance for each pixel; refuse if none."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -118,8 +117,7 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
 
 
 def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
-    """Make the bin means of a curve rise, with at least a third of the slope of a linear
-    response."""
+    """Make bin means rise, with at least a third of a linear response's slope."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 

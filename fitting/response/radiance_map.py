@@ -104,8 +104,7 @@ def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
 def _noise_radiance(
     codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return radiance and relative error of pixels whose codes are, in every exposure, either
-    clipped or within the noise of black."""
+    """Return radiance and relative error of pixels that are clipped or near black only."""
     table, t = exposure_of_codes(curve), times[:, None]
     x = table[codes]
     used = (codes > 0) & (codes < curve.bins.edges[-1])

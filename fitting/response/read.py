@@ -160,8 +160,7 @@ def read_exposure_stack(
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """Return the rig without the exposures whose metadata contradict the rig, and findings on these
-    exposures."""
+    """Return the rig without exposures that metadata contradict, and findings on them."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
         Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))
@@ -351,8 +350,7 @@ def floor_level(
 
 
 def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of pixels with the same code in all images, if these span a factor of at least
-    8 in exposure."""
+    """Return the pixels with one code in all images, if these span a factor of 8."""
     if exposures[-1] < LEAST_EXPOSURE_RATIO * exposures[0]:
         return np.zeros(codes.shape[1:], bool)
     return (codes == codes[0]).all(axis=0)
@@ -411,8 +409,7 @@ def _scene_mask(
 
 
 def _black_levels(rig: Rig, load: Load) -> dict[str, float]:
-    """Return the mean of the dark frames by channel, DN; empty if the rig states the black level or
-    has no darks."""
+    """Return the mean dark by channel, DN; {} if the level is stated or without darks."""
     if rig.camera.black_level is not None or not rig.dark:
         return {}
     means = [read_stack(rig, entry.files, load=load).mean(axis=0) for entry in rig.dark]

@@ -112,8 +112,7 @@ def exposure_jackknife(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """Fit the curve without each exposure. Return the deviations of these fits, and the errors of
-    predicting each exposure from the others."""
+    """Fit the curve without each exposure; return deviations and prediction errors."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
@@ -173,8 +172,7 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the variance of g at the centres of bins, from a covariance of the right-hand side of
-    the normal equations."""
+    """Return the variance of g at bins, from a covariance of the normal equations' right."""
     size = len(found.means)
     rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
@@ -188,8 +186,7 @@ def _prediction_error(
     coarse: CodeBins,
     pilot: Pilot,
 ) -> float:
-    """Return the rms difference, DN, between the codes of exposure j and their prediction from the
-    other exposures."""
+    """Return the rms difference, DN, of exposure j from its prediction by the others."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule

@@ -49,8 +49,7 @@ def section(calibration: ResponseCalibration) -> Section:
 
 
 def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
-    """Return the columns of a table of the complete curves, with a row for each code and
-    channel."""
+    """Return the columns of the complete curves, with a row for each code and channel."""
     curves = [channel.curve for channel in channels]
     labels = [channel.plane.name for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
@@ -142,8 +141,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
 
 
 def _exposure_at_code(curve: ResponseCurve, code: float) -> str | None:
-    """Format the exposure at a code, by linear interpolation in the logarithms above black; None
-    outside the range of codes."""
+    """Format the exposure at a code, interpolated in logarithms; None outside."""
     if not max(curve.bins.black, curve.bins.edges[0]) < code <= curve.bins.edges[-1]:
         return None
     place = np.log(code - curve.bins.black)

@@ -81,8 +81,7 @@ def largest_departure(
 def largest(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """Return the largest deviation among the codes `counted`, and the code at which it occurs; NaN
-    if no code is counted."""
+    """Return the largest deviation among codes `counted`, and its code; NaN if none."""
     counted = counted & np.isfinite(departure)
     if not counted.any():
         return float("nan"), float("nan")
@@ -91,8 +90,7 @@ def largest(
 
 
 def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
-    """Return the standard error of the deviation at each code, including second-order terms of the
-    noise."""
+    """Return the standard error of each deviation, with second-order terms of noise."""
     return np.hypot(curve.standard_error, curve.pixel_noise**2)
 
 

@@ -208,8 +208,8 @@ def solve(
 def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """Return the change of the best gamma curve if the black level is lower by one standard
-    deviation; 0 if the pixels contain no information on gamma."""
+    """Return the change of the best gamma for a black level lower by its deviation; 0 if
+    unknown."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0
@@ -288,7 +288,6 @@ def _column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:
-    """Return sum (ln t - mean)^2 over the exposures, to which the precision of a common exponent is
-    proportional."""
+    """Return sum (ln t - mean)^2, the precision of a common exponent up to a factor."""
     log_t = np.log(exposures)
     return float(np.sum((log_t - log_t.mean()) ** 2))

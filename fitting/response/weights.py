@@ -116,8 +116,7 @@ def noise_rule(
     *,
     coarsest: float = np.inf,
 ) -> WeightRule:
-    """Make weights that depend on the predicted exposure, from a curve and from the noise model of
-    each class of steepness."""
+    """Make weights by predicted exposure, from a curve and each class's noise model."""
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
     rows = [absent if n is None else _class_tables(n, means, grid, coarsest) for n in noises]
@@ -126,8 +125,7 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Return the largest rms rounding error, in ln X, of codes that a fit uses although no noise
-    dithers their rounding."""
+    """Return the largest rms rounding, in ln X, of used codes that no noise dithers."""
     # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
     # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
     # little noise had half of their codes outside the band. Exposures far apart need all codes.
@@ -190,8 +188,7 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Compute the weights and residuals of linked pixels (with at least two positive weights),
-    without outliers."""
+    """Compute weights and residuals of pixels with two positive weights, without outliers."""
     by_each, weights = means[binned] - log_t[:, None], weights_by_code(rule, binned, classes)
     cells = np.zeros_like(binned)
     if rule.weight is not None:
@@ -244,8 +241,7 @@ def cells_of(
     log_exposure: Float[np.ndarray, "*exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
 ) -> Int[np.ndarray, "*exposures pixels"]:
-    """Return the flattened indices of the cells of a rule's tables that contain these log
-    exposures."""
+    """Return the flat indices of a rule's cells that contain these log exposures."""
     assert rule.weight is not None
     count = rule.weight.shape[1]
     position = (log_exposure - rule.start) / rule.step + 1.5
