@@ -38,8 +38,7 @@ def check_request(seconds: float, out: Path | None) -> None:
 def repeating(
     command: str, what: object, *, knobs: Sequence[str], seconds: float, out: Path | None
 ) -> str:
-    """Return the shell command that repeats the accuracy measurement of a scene or a rig. If
-    `knobs` is empty, the command measures all settings."""
+    """Return the command that repeats a measurement, of all settings if `knobs` is empty."""
     words = [*command.split(), str(what)]
     for knob in knobs:
         words += ["--knob", knob]
@@ -55,8 +54,7 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Print the measured curves as a table or as JSON, and return them as a JSON object. Raise
-    `InputError` if there was too little time to measure any setting."""
+    """Print curves as a table or JSON; return them as JSON, or refuse if nothing was measured."""
     if not any(curve.trials for curve in curves):
         raise InputError(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
@@ -78,8 +76,7 @@ def keep(
     command: str,
     as_json: bool = False,
 ) -> None:
-    """Write the HTML page and the JSON file of the curves if a folder is given, and print their
-    paths unless the output is JSON."""
+    """Write page and JSON of the curves if a folder is given, and print their paths."""
     if out is None:
         return
     for path in write_page(out, problem, curves, command=command, together=together):

@@ -150,9 +150,7 @@ def curve(
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Run each setting twice while time allows, and at least one setting once; settings that the
-    problem refuses are skipped.
-    """
+    """Run each setting twice while time allows, at least one once, without refused ones."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime
@@ -175,8 +173,7 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 
 
 def _run_twice(session: Session, setting: Any) -> None:
-    """Run a setting twice. If other settings have been run before, do so only if enough time
-    remains for a reference."""
+    """Run a setting twice; after the first, only if time for a reference remains."""
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.taken + share * session.left
     try:
@@ -189,8 +186,7 @@ def _run_twice(session: Session, setting: Any) -> None:
 
 
 def _take_turns(session: Session, seeds: int) -> None:
-    """Call all settings alternately, with further seeds, as long as the next call fits into the
-    remaining time."""
+    """Call all settings alternately, with further seeds, while the next call fits the time."""
     session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
     for number in range(len(PAIRED), rounds):
@@ -331,8 +327,7 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
 
 
 def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
-    """Return the indices of the Pareto-optimal trials: no other trial is both faster and more
-    accurate. The fastest comes first."""
+    """Return the indices of trials that no other surpasses in time and error, fastest first."""
     found: list[int] = []
     for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
         if not found or trials[i].error < trials[found[-1]].error:

@@ -13,8 +13,7 @@ SHALLOWEST = 0.7  # share of the declared order that a fit must reach to confirm
 
 
 def variable(setting: float, law: Law) -> float:
-    """Return the variable x in which the logarithm of the error is linear: log(setting) for a power
-    law, the setting itself for a geometric law."""
+    """Return x in which log(error) is linear: log(setting), or the setting itself."""
     return float(setting) if law == "geometric" else float(np.log(setting))
 
 
@@ -34,8 +33,7 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
 
 
 def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
-    """Fit log(error) as a straight line in the law's variable; return the order and the weighted
-    residual sum of squares."""
+    """Fit log(error) by a line in the law's variable; return order and weighted squares."""
     from scipy.special import stdtrit
 
     x = np.array([variable(one.setting, law) for one in solid])

@@ -29,8 +29,7 @@ KNOBS: Mapping[str, Knob] = {name: _knob(name, table) for name, table in _TABLES
 
 
 def knob_named(name: str) -> Knob:
-    """Return the record of an approximation by name. For an unknown name, raise `InputError`, which
-    suggests the nearest known name."""
+    """Return an approximation by name, or refuse it and suggest the nearest."""
     if name not in KNOBS:
         raise InputError(f"knob {name!r} is unknown; {nearest(name, KNOBS)}.")
     return KNOBS[name]

@@ -55,8 +55,7 @@ NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": rms, "p99": _p99, "max
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:
-    """Return the level by which errors are divided to make them relative, in the unit of the
-    result; 1 if the reference is 0 everywhere."""
+    """Return the level that makes errors relative, in the unit of the result; 1 for zeros."""
     found = rms(reference) if level is None else level
     return found if found > 0 else 1.0
 

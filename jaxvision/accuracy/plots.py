@@ -95,8 +95,7 @@ def plot(
 
 
 def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
-    """Draw trials that equal the reference on the lower axis, because a logarithmic axis cannot
-    show zero."""
+    """Draw trials without error on the lower axis, since logarithms show no zero."""
     low, _ = axes.get_ylim()
     for trial in trials:
         axes.plot(trial.seconds, low, "o", color=BLUE, mfc="none", ms=6, clip_on=False)

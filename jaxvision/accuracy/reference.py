@@ -143,15 +143,13 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
-    """Return the results of each setting, as `Problem.compared` prepares them, for the seeds that
-    were run with every setting."""
+    """Return the prepared results of each setting, for the seeds that all have."""
     results = (session.points[setting].results for setting in settings)
     return [{seed: session.compared(own[seed]) for seed in PAIRED} for own in results]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """Return the finest setting, measured or listed for the reference, whose calls fit into the
-    remaining time. If none does, return the cheapest."""
+    """Return the finest setting whose calls fit into the time, else the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:
@@ -224,8 +222,7 @@ def _bias_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """Return the rate at which errors decrease, from the ratio of two steps of equal sign; 0 if the
-    errors do not decrease."""
+    """Return the rate of decrease from the ratio of two steps of one sign; 0 if none."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)

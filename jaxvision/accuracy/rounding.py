@@ -129,8 +129,7 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
 
 
 def _digits_of(values: np.ndarray) -> np.ndarray:
-    """Return the number of digits that all runs, (runs, ...), have in common; all digits of float32
-    where the runs are equal."""
+    """Return the digits that all runs, (runs, ...), share; all of float32 if equal."""
     values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
     if not np.size(values):
         return np.full(values.shape[1:], WHOLE)
@@ -141,8 +140,7 @@ def _digits_of(values: np.ndarray) -> np.ndarray:
 
 
 def _fewest(values: list[np.ndarray]) -> float:
-    """Return the fewest common digits of any number in the arrays, (runs, ...) each, that is finite
-    in all runs."""
+    """Return the fewest common digits of any number that is finite in all runs."""
     found = [_digits_of(own)[~np.isnan(_digits_of(own))] for own in values]
     return min((float(own.min()) for own in found if own.size), default=WHOLE)
 
@@ -215,8 +213,7 @@ def _round(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
 
 def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
-    """Evaluate a loop, a branch or a linear solve, with random rounding of each operation inside
-    it."""
+    """Evaluate a loop, branch or linear solve with random rounding inside."""
     params = eqn.params
 
     def run(inner: Any, key: Any, arguments: list[Any]) -> list[Any]:
@@ -260,8 +257,7 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
 
 def _count_unstacked(outside: list[Any], inside: list[Any]) -> int:
-    """Count the variables of a scan that have as many axes inside its body as outside: its
-    constants and carry. Stacked inputs and outputs have one axis fewer inside."""
+    """Count a scan's constants and carry, which have no further axis outside its body."""
     return sum(x.aval.ndim == y.aval.ndim for x, y in zip(outside, inside, strict=True))
 
 
@@ -291,8 +287,7 @@ def _round_at_random(exact: Any, native: Any, key: Any) -> Any:
 
 
 def _name_operation(eqn: Any) -> str:
-    """Return the name of an operation, with the function and line of the user's source that calls
-    it."""
+    """Return the name of an operation, with the user's function and line."""
     traceback = eqn.source_info.traceback
     frames = traceback.frames if traceback is not None else ()
     own = next((f for f in frames if "/jax/" not in f.file_name and __file__ != f.file_name), None)

@@ -274,8 +274,7 @@ def _too_little(scene_file: SceneFile, seconds: float) -> TooLittleTime:
 def _compiling(
     problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
-    """Return the longest compile time, in s, over the chosen settings, or over all measured
-    settings if `chosen` is None."""
+    """Return the longest compile time, s, over chosen settings, or all if None."""
     compiled = [
         trial.first_seconds - part_seconds(problem, trial.seconds)
         for one in curves
@@ -298,8 +297,7 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
 
 
 def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
-    """Drop the negligible effects of a scene. The bounds are valid for paths of up to the largest
-    measured depth."""
+    """Drop the negligible effects for paths of up to the largest measured depth."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
@@ -327,8 +325,7 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """Describe the machine in one line of text: usable cores, processor, accelerators, and the
-    version of JAX."""
+    """Describe cores, processor, accelerators and JAX's version in one line."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -341,8 +338,7 @@ def machine() -> str:
 
 
 def _read(file: Path, seconds: float) -> dict[str, Any] | None:
-    """Read cached settings, or return None if there are none or if their measurement had less than
-    `seconds` s of time."""
+    """Read cached settings, if they were measured for at least `seconds` s, or None."""
     keys = {"settings", "promised", "predicted_seconds", "checked", "unknown", "level"}
     try:
         found = json.loads(file.read_text())

@@ -85,8 +85,7 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the values that all knobs of a scene file have while another knob is measured. At most
-    16 samples per pixel are used."""
+    """Return the values of all knobs while another is measured, with at most 16 samples."""
     found = {}
     for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)
@@ -252,15 +251,13 @@ def _seconds_of(compute: Compute, clock: Clock | None) -> float:
 
 
 def _brightest(picture: np.ndarray) -> float:
-    """Return the radiance at which pixels are clipped: twice the 95 % quantile, or infinity if that
-    quantile is 0."""
+    """Return the radiance of clipping: twice the 95 % quantile, or infinity if that is 0."""
     quantile = float(np.quantile(picture.max(axis=1), _QUANTILE)) if picture.size else 0.0
     return _HEADROOM * quantile if quantile > 0 else np.inf
 
 
 def _develop(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
-    """Develop a picture to CIELAB, with an exposure that maps the 95 % quantile of the reference
-    luminance to 0.8 of white."""
+    """Develop to CIELAB, with 0.8 of white at the 95 % quantile of the exposed luminance."""
     bright = exposed @ to_rgb @ np.array([0.2126, 0.7152, 0.0722])
     white = float(np.quantile(bright, _QUANTILE)) / _SHOWN if bright.size else 1.0
     rgb = np.clip(radiance @ to_rgb / (white if white > 0 else 1.0), 0, 1)

@@ -25,8 +25,7 @@ UNKNOWN = 2.0  # smallest growth between successive settings that are not increa
 
 
 class NotComparable(InputError):
-    """Raised if results of two settings cannot be compared, for example because their shapes
-    differ; the problem itself is at fault."""
+    """Raised if results cannot be compared, such as of different shapes."""
 
 
 @dataclass
@@ -73,8 +72,7 @@ class Session:
         return self.seconds - self.taken
 
     def wait_for_the_rest(self) -> None:
-        """Wait for abandoned work to finish, because timings taken while it runs would be too
-        long."""
+        """Wait for abandoned work, beside which timings would be too long."""
         until = self.taken + WAIT * self.left
         wait_for_the_rest(lambda: until - self.taken)
 
@@ -117,8 +115,7 @@ class Session:
         return point
 
     def compared(self, values: Any) -> np.ndarray:
-        """Return the quantity of a result that is compared with the reference; `values` may also be
-        the mean of several results."""
+        """Return the quantity of a result, or of a mean, that is compared."""
         return self.problem.compared(values) if self.problem.compared else np.asarray(values)
 
     def _of(self, setting: Any) -> str:
@@ -168,8 +165,7 @@ class Session:
         return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """Predict the time in s of further calls of a setting. For a setting without earlier calls,
-        the times of the previous settings are extrapolated."""
+        """Predict the time, s, of further calls, for a new setting from those before."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:
             return calls * known.seconds
@@ -196,8 +192,7 @@ def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
 
 
 def part_seconds(problem: Problem, seconds: float) -> float:
-    """Return the time of a call of the measured part, in s, from the time of the whole
-    computation."""
+    """Return the time of a call of the measured part, s, from that of the whole."""
     once = min(problem.once(), seconds)
     return once + (seconds - once) / problem.whole
 
@@ -219,16 +214,14 @@ def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> fl
 
 
 def _growth(before: tuple[Any, float], after: tuple[Any, float]) -> tuple[float, float]:
-    """Return the growth of the time between two settings: as a factor of at least 1, and as a power
-    of the setting of at least 0."""
+    """Return the growth of time between settings: as a factor >= 1, and as a power >= 0."""
     factor = max(after[1] / before[1], 1.0)
     ratio = _ratio(before[0], after[0])
     return factor, float(np.log(factor) / np.log(ratio)) if ratio else 1.0
 
 
 def _ratio(before: Any, after: Any) -> float | None:
-    """Return the ratio of two settings that are increasing positive numbers, or None for other
-    settings."""
+    """Return the ratio of two increasing positive settings, or None for others."""
     if is_number(before) and is_number(after) and after > before:
         return after / before
     return None

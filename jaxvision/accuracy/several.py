@@ -117,8 +117,7 @@ def combined(
 
 
 def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
-    """Return the time, in s, at the `base` value of a curve's knob, interpolated between the
-    measured values."""
+    """Return the time, s, at a curve's `base` value, interpolated."""
     setting = base[curve.knob.name]
     known = {trial.setting: trial.seconds for trial in curve.trials}
     if setting in known:
@@ -278,8 +277,7 @@ def _fresh_runs(
     random: bool,
     now: Clock,
 ) -> Check | None:
-    """Run the chosen settings with fresh seeds and return their error and time. Return None if the
-    error of the reference is more than half of their error."""
+    """Run settings with fresh seeds for error and time; None if the reference is too coarse."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     compared = problem.compared or np.asarray

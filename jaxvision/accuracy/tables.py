@@ -190,8 +190,7 @@ def _finite(value: Any) -> Any:
 
 
 def choice_in_words(chosen: Chosen) -> str:
-    """Describe the settings chosen for a render in one or two sentences, with the promised error in
-    per cent and the predicted time in s."""
+    """Describe chosen settings, with promised error in per cent and time in s."""
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for lack of time"
     said = (

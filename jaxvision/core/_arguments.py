@@ -174,8 +174,7 @@ def _expected(function: Callable[..., Any]) -> _Expected:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union type, without resolving named aliases. For a hint that is no
-    union, return a tuple of the hint itself."""
+    """Return the members of a union, or the hint itself, without resolving aliases."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 

@@ -46,8 +46,7 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """Decorate a function of `Ends` so that the result is cached in the argument and computed only
-    once."""
+    """Decorate a function of `Ends` whose result is kept in the argument."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:
@@ -173,8 +172,7 @@ class Reflection(NamedTuple):
 
 
 def peak(x: Any, name: str) -> np.ndarray:
-    """Return the largest magnitude of a spectrum over both ends of the range of its parameters, for
-    each band."""
+    """Return the largest magnitude of a spectrum at both ends, for each band."""
     return np.maximum(*(np.abs(numbers(getattr(end, name))) for end in x))
 
 

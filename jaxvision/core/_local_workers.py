@@ -65,8 +65,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
 
 
 def _start(count: int) -> "LocalCluster":
-    """Start the worker processes on this machine, in up to three attempts. If one worker dies
-    during its start, all workers are ended and started again."""
+    """Start the workers, in up to three attempts, since one may die as it starts."""
     from distributed import LocalCluster
 
     settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
@@ -81,8 +80,7 @@ def _start(count: int) -> "LocalCluster":
 
 
 def replace_lost(client: "Client") -> None:
-    """Restart workers on this machine that died during their start; Dask itself restarts workers
-    that die later."""
+    """Restart workers that died during their start; Dask restarts later ones."""
     made: Any = client.cluster
     wanted = len(getattr(made, "worker_spec", ()))
     there: Any = client.nthreads()

@@ -49,8 +49,7 @@ def monotone_slopes(inputs: Points, outputs: Points) -> Points:
 
 
 def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
-    """Return the slope of a parabola through the first or last three points at its end, limited so
-    that the curve does not overshoot."""
+    """Return a parabola's slope at the end of three points, without overshoot."""
     slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
     slope = jnp.where(slope * chord <= 0, 0, slope)
     steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))

@@ -75,8 +75,7 @@ def module_of(old: str) -> ModuleType | None:
 
 
 def find_modules_by_old_names() -> None:
-    """Register an import hook, so that modules and the modules inside them are found by their
-    former names."""
+    """Register an import hook that finds modules by their former names."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())  # before Python looks for files in a moved package
 

@@ -31,8 +31,7 @@ def problem_of(
     seeded: bool = False,
     exact: Any = None,
 ) -> Problem:
-    """Make a problem that compiles `make(setting)` and calls it with the given arrays, or with a
-    random key if `seeded`."""
+    """Make a problem that calls the compiled `make(setting)`, with a key if `seeded`."""
     import jax
 
     def prepare(settings: Mapping[str, Any]) -> Compute:

@@ -154,8 +154,7 @@ def _diffraction_nodes() -> Problem:
 
 
 def _shot_noise() -> Problem:
-    """Compare the distribution of 2^18 draws, at means of 1 to 100 electrons, with the Poisson
-    distribution."""
+    """Compare 2^18 draws at means of 1 to 100 electrons with Poisson's law."""
     from scipy.stats import poisson
 
     draws, most = 2**18, 160

@@ -42,8 +42,7 @@ def _box() -> SceneFile:
 
 
 def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
-    """Make a problem of path tracing in the Cornell box. The picture is cropped below the lamp,
-    because the lamp's edges would dominate the error."""
+    """Make a problem of paths in the Cornell box, without the lamp, whose edges dominate."""
     view = with_resolution(_box().view, (SIDE, SIDE))
 
     def make(setting: Any) -> Callable[[jax.Array], jax.Array]:
@@ -65,8 +64,7 @@ def _form_factors() -> Problem:
 
 
 def _progressive() -> Problem:
-    """Make a radiosity problem of a closed cube of 96 patches, with random form factors between
-    different patches."""
+    """Make a radiosity problem of a cube of 96 patches with random form factors."""
     rng = np.random.default_rng(0)
     factors = rng.uniform(0.5, 1.5, (96, 96))
     factors = (factors + factors.T) * (1 - np.eye(96))
@@ -86,8 +84,7 @@ def _progressive() -> Problem:
 
 
 def _adaptive() -> Problem:
-    """Make a problem of the irradiance on a floor under a lamp, compared with Lambert's closed
-    form."""
+    """Make a problem of a floor under a lamp, compared with Lambert's closed form."""
     lamp = RectangleLight((-0.5, -0.5, 0.6), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), radiance=(1.0,))
     x, y = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE))
     points = jnp.asarray(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1))
@@ -167,8 +164,7 @@ def _sampler() -> Problem:
 
 
 def _bands() -> Problem:
-    """Make a problem of the tristimulus values of D65 through a filter, where the setting is the
-    number of wavelengths at which all spectra are sampled."""
+    """Make a problem of D65 through a filter, over the number of sampled wavelengths."""
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         wavelengths = jnp.linspace(380e-9, 780e-9, settings["bands"])

@@ -120,8 +120,7 @@ def _power() -> Problem:
 
 
 def _interpolation() -> Problem:
-    """Make a problem that interpolates sinusoids with periods of 9 and 13 pixels, whose values
-    between pixels are known."""
+    """Make a problem that interpolates sinusoids of 9 and 13 pixels."""
     places = np.linspace(4.0, SIDE - 5.0, SIDE)
 
     def waves(y: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -35,8 +35,7 @@ def plus(a: Bands, b: Bands) -> Bands:
 
 
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
-    """Apply an elementwise `function` to spectra, (bands,), band by band. A spectrum that is one
-    number for all bands stays one number per ray."""
+    """Apply an elementwise function to spectra band by band; a neutral number stays one."""
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:
         return function(*spectra)

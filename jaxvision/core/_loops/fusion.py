@@ -61,8 +61,7 @@ def _helps() -> bool:
 
 
 def entries_per_step(of_core: int) -> int:
-    """Return the number of rays or entries that one step of a loop computes: `of_core` on a CPU,
-    and at least 2^20 on an accelerator."""
+    """Return the rays or entries of one step of a loop: `of_core`, or 2^20 on an accelerator."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
@@ -105,8 +104,7 @@ def fuse(values: Any) -> Any:
 
 
 def _one_loop(*values: Array) -> Sequence[Array]:
-    """Join the computation of all values of one floating precision into one loop; a reduction
-    cannot mix precisions."""
+    """Join values of one precision into one loop; reductions mix no precisions."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
     first = next(iter(precisions), None)

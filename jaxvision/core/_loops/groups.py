@@ -67,8 +67,7 @@ def call_member(
     index: Int[Array, ""],
     function: Callable[[Any], Tree],
 ) -> Tree | None:
-    """Apply `function` to the record with the given index, which is in one of several stacked
-    groups; return None if there is no group."""
+    """Apply `function` to record `index` of several stacked groups, None without groups."""
     chosen = None
     for numbers, group in zip(members, groups, strict=True):
         record, among = take(numbers, group, index)
