@@ -84,8 +84,7 @@ class Converter:
 
     @property
     def _whole(self) -> bool:
-        """Whether the numbers were rounded only once, by the converter and not again by
-        software."""
+        """Whether the numbers were rounded once, by the converter and not by software."""
         return (self.even and self.step < 1) or (self.even and self.step == round(self.step))
 
 
@@ -173,8 +172,7 @@ class Codes:
         )
 
     def _smooth(self, step: float) -> np.ndarray:
-        """Return the counts by code of those frames whose noise makes their histograms smooth on a
-        grid of this step."""
+        """Return the counts by code of frames whose noise fills a grid of this step."""
         found = np.zeros(0, np.int64)
         for octave, counts in self._by_noise.items():
             if 2.0**octave >= SMOOTH * step:
@@ -243,8 +241,7 @@ def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
-    """Merge several tables of values and counts: return the sorted distinct values and the total
-    count of each."""
+    """Merge tables of values and counts to the sorted values and the count of each."""
     different, place = np.unique(np.concatenate([x[0] for x in parts]), return_inverse=True)
     counts = np.bincount(place, np.concatenate([x[1] for x in parts]), different.size)
     return np.stack([different, counts])
@@ -296,8 +293,7 @@ def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tu
 
 
 def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, float] | None:
-    """Return the step of an even grid on which all numbers lie within `error`, and its origin; None
-    if there is no such grid."""
+    """Return step and origin of an even grid for all numbers within `error`, or None."""
     gaps = np.diff(values)
     gaps = gaps[gaps > 2 * error] if error < 0.5 else gaps
     if gaps.size < 5:
@@ -364,8 +360,7 @@ def _imbalance(counts: np.ndarray) -> float:
 
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
-    """Return the largest number if far more pixels have it than any of the 16 numbers below it, as
-    clipping causes; else None."""
+    """Return the largest number if clipping piles up far more pixels there, else None."""
     below = counts[:-1][-BELOW:]
     # In darks that are a few codes wide, the largest number may be the most frequent.
     if below.size < BELOW or counts[-1] < max(PILE, STEEP * float(below.max())):

@@ -76,9 +76,7 @@ class Options:
         return {"steps": self.steps or STEPS, "walkers": self.walkers or WALKERS}
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
-        """Return the sampler of a calibration (None for Laplace's approximation) and the seed of
-        its random draws.
-        """
+        """Return the sampler of a calibration (None for Laplace's approximation) and its seed."""
         from .inference.emcee_run import Emcee
 
         if not self.mcmc:

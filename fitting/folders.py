@@ -37,9 +37,7 @@ def existing(path: Path) -> Path:
 
 
 def read_rig(path: Path, purpose: "Purpose") -> "Rig":
-    """Read a rig. Raise if it lacks an entry that the calibration needs, or if an image does not
-    exist.
-    """
+    """Read a rig. Raise if an entry or an image that the calibration needs is missing."""
     from .rig import load_rig, require, require_images
 
     rig = load_rig(path)
@@ -289,9 +287,7 @@ def predict(
 
 
 def _camera_file(camera: str) -> Path:
-    """Return the path of a camera's file; for a folder, of the file that a calibration wrote
-    there.
-    """
+    """Return the path of a camera's file, or of the file in a calibration's folder."""
     folder = Path(camera)
     if not folder.is_dir():
         return folder
@@ -304,8 +300,7 @@ def _camera_file(camera: str) -> Path:
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
-    """Return one section for each site of a mosaic or each tap, including taps that the rig does
-    not state."""
+    """Return a section for each site or tap, including taps that the rig does not state."""
     from .noise.findings import periodic_findings, unstated_taps
     from .noise.section import sections_of_sites
     from .report.inputs import with_inputs
@@ -334,9 +329,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 def _each_site(
     rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
 ) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
-    """Return the calibration of each site, and the sites whose calibration failed. With
-    `chains=False`, all use Laplace's approximation.
-    """
+    """Return the calibration of each site, with chains or Laplace's, and failed sites."""
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
 
@@ -358,8 +351,7 @@ def _each_site(
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
-    """Return, for each site in turn, a section for the camera over all its settings and one for
-    each setting."""
+    """Return, for each site, a section over all settings and one for each."""
     from .noise.across_settings.section import records_of_sites
     from .report.inputs import with_inputs
     from .report.section import section_of_part

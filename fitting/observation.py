@@ -37,9 +37,7 @@ def rig_in_memory(
 
 
 def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
-    """Return an image as an array. A mask in the image is ignored if it hides no pixel, and refused
-    otherwise.
-    """
+    """Return an image as an array; refuse a mask that hides pixels."""
     if isinstance(image, np.ma.MaskedArray) and (hidden := int(np.ma.count_masked(image))):
         raise InputError(
             f"{name} is a masked array, {hidden} of its {image.size} numbers masked, and an image "
@@ -246,9 +244,7 @@ def pixels_of_colour(camera: Camera, shape: tuple[int, int], colour: str) -> np.
 
 
 def one_site(camera: Camera) -> SiteCamera:
-    """Return a camera with one value for all sites, for images that `to_one_site` has
-    normalised.
-    """
+    """Return a camera with one value for all sites, for images of `to_one_site`."""
     if isinstance(camera.gain, tuple) and camera.encoding is not None:
         raise InputError(
             "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
@@ -277,9 +273,7 @@ def one_site(camera: Camera) -> SiteCamera:
 
 
 def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return an image scaled so that all sites have the mean black level and the mean gain of the
-    sites.
-    """
+    """Return an image with the mean black level and gain of the sites at all of them."""
     if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
     black, gain = np.zeros(image.shape), np.ones(image.shape)
@@ -291,8 +285,7 @@ def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
-    """Return the names of all sites, and of the channels of each site if a list distinguishes
-    them."""
+    """Return the names of all sites, and their channels if a list has them."""
     lengths = [len(v) for name in BY_SITE if isinstance(v := getattr(camera, name), tuple)]
     return camera.channels(colour=any(length > len(camera.sites) for length in lengths))
 

@@ -24,9 +24,7 @@ _REMAINDERS = [
 
 
 def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return ln P(N = n) of the Poisson distribution, without the cancellation in n ln mean - mean
-    - ln n! (Loader 2000).
-    """
+    """Return Poisson's ln P(N = n) without cancellation of large terms (Loader 2000)."""
     some = jnp.maximum(n, 1)
     few = jnp.asarray(_REMAINDERS, some.dtype)[jnp.minimum(some, 31).astype(jnp.int32) - 1]
     remainder = jnp.where(some < 32, few, stirling_remainder(some))

@@ -119,9 +119,7 @@ class Resolution:
     @property
     @double_precision
     def mtf50(self) -> Bands:
-        """Return the frequency at which the model's MTF is 1/2, in cycles per pixel, with
-        intervals.
-        """
+        """Return where the model's MTF is 1/2, in cycles per pixel, with intervals."""
         frequency = jnp.linspace(0, 2, 801)
         return self.fit.derived(
             lambda **at: _falls_to_half(frequency, self._transfer(frequency, at))
@@ -358,9 +356,7 @@ def _refuse_mosaic(
 
 
 def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
-    """Return whether the noise of neighbouring pixels on the flat sides, scaled to unit variance,
-    is correlated.
-    """
+    """Return whether noise of neighbouring pixels, of unit variance, is correlated."""
     for lag in (1, 2):  # lag 2 for a band measured at every second pixel
         products = [
             (noise[lag:] * noise[:-lag]).ravel(),
@@ -427,9 +423,7 @@ def _plateau(pixels: "_Pixels") -> Iterator[str]:
 
 
 def _first_line(picture: Float[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Estimate the direction of the edge's normal toward the bright side, in degrees, and the
-    edge's place, in pixels.
-    """
+    """Estimate the edge's normal toward the bright side, degrees, and place, pixels."""
     known = np.isfinite(picture)
     weight = ndimage.gaussian_filter(known.astype(float), 1.5)
     smooth = ndimage.gaussian_filter(np.where(known, picture, 0.0), 1.5) / np.maximum(weight, 1e-9)
@@ -474,9 +468,7 @@ def _problem(
 
 @cache
 def _model(kind: Blur, span: float) -> Callable[..., Array]:
-    """Return the function that predicts the picture of the edge. Equal settings return the same
-    function, so that a fit compiles once.
-    """
+    """Return the prediction of the edge, the same function for equal settings."""
 
     def predict(
         inputs: Mapping[str, Array],
@@ -510,9 +502,7 @@ def _distance(
 def _edge(
     distance: Float[Array, "..."], at: Mapping[str, Any], blur: Blur, span: float
 ) -> Float[Array, "..."]:
-    """Return the edge spread at a distance in pixels: 0 far on the dark side, 1 far on the bright
-    one.
-    """
+    """Return the edge spread at a distance in pixels, from 0 (dark) to 1 (bright)."""
     if blur.diffraction is not None:  # odd harmonics of a square wave up to the cut-off frequency
         frequency = np.arange(1, 8 * span / blur.diffraction, 2) / (8 * span)
         height = _transfer(jnp.asarray(frequency), at, blur) / (4 * np.pi * span * frequency)

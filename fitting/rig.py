@@ -162,9 +162,7 @@ class _Known(Entry):
 
     @property
     def encoding(self) -> float | None:
-        """Return the encoding exponent gamma; None if it is not stated, or if the files are
-        certainly linear.
-        """
+        """Return the encoding exponent gamma; None if unstated or surely linear."""
         return None if self.gamma == 1 and self.gamma_sd is None else self.gamma
 
     @property

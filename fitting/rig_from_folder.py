@@ -275,9 +275,7 @@ def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> lis
 def _refuse_apertures(
     photographs: Sequence[_Image], flats: Sequence[_Image], found: FoundRig
 ) -> None:
-    """Ask for images of one aperture if the apertures differ, because exposures in seconds then do
-    not describe the light.
-    """
+    """Refuse several apertures, at which seconds do not describe the light."""
     for kind, images in (("images", photographs), ("flats", flats)):
         numbers = sorted(
             {f"{one.settings.f_number:.3g}" for one in images if one.settings.f_number}, key=float
@@ -400,9 +398,7 @@ def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
 
 
 def _seconds(image: _Image) -> str:
-    """Return the line for the exposure. It is a fraction if EXIF has one, or if decimals would be
-    rounded.
-    """
+    """Return the line for the exposure, a fraction if EXIF's or if decimals are rounded."""
     if image.exposure is None:
         return UNKNOWN_EXPOSURE
     if image.exposure == 0:

@@ -318,9 +318,7 @@ def from_patches(
 
 
 def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-    """Return the least-squares matrix (3, channels) from readings to XYZ that is exact for white,
-    the last row.
-    """
+    """Return the least-squares matrix (3, channels) to XYZ, exact for white, the last row."""
     inverse = np.linalg.inv(raw[:-1].T @ raw[:-1])
     free = (inverse @ raw[:-1].T @ xyz[:-1]).T
     white = inverse @ raw[-1]
@@ -328,9 +326,7 @@ def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 
 
 class _Channel:
-    """The readings of one channel, scaled to a largest value of 1, with functions for the evidence
-    and for draws.
-    """
+    """The readings of a channel, of largest value 1, with its evidence and draws."""
 
     def __init__(
         self, light: np.ndarray, y: np.ndarray, at: np.ndarray, sd: np.ndarray | None
@@ -349,9 +345,7 @@ class _Channel:
         self.apart = np.abs(at[:, None] - at)
 
     def prior(self, at: np.ndarray) -> np.ndarray:
-        """Return the prior covariance (bands, bands) at given logarithms of size, length and
-        noise.
-        """
+        """Return the prior covariance (bands, bands) at logarithms of size, length, noise."""
         r = np.sqrt(3) * self.apart / np.exp(at[1])
         matern = (1 + r) * np.exp(-r)
         return np.exp(2 * at[0]) * (matern + 1e-8 * np.eye(len(r)))
@@ -394,9 +388,7 @@ class _Channel:
         return best, ways @ np.diag(1 / np.maximum(sizes, 1.0)) @ ways.T  # at most a factor of e
 
     def _best_from(self, noise: float) -> OptimizeResult:
-        """Return the best optimum of several searches that start at a given logarithm of the
-        noise.
-        """
+        """Return the best optimum of searches from a logarithm of the noise."""
         starts = [np.array([0.0, np.log(length), noise]) for length in _STARTS]
         tries = [
             minimize(self.cost, start, bounds=self.bounds, method="L-BFGS-B") for start in starts

@@ -159,8 +159,7 @@ _NOT_OF_A_PIXEL = ("brighter_fatter", "charge_transfer", "own", "mixing")  # eff
 
 
 class _Reading(NamedTuple):
-    """The read-out of each pixel: gain in DN per electron, offset in DN, and noise in electrons
-    rms."""
+    """The read-out of pixels: gain, DN per electron, offset, DN, noise, electrons rms."""
 
     gain: Array
     offset: Array
@@ -451,8 +450,7 @@ def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Num
 
 
 def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
-    """Return ln of the probabilities that there are fewer, and that there are more, electrons than
-    the summed counts (..., n)."""
+    """Return ln of the probabilities of electrons below, and above, the summed counts."""
     mean = jnp.maximum(mean, 1e-30)
     fewer, _ = log_poisson_tails(jnp.maximum(counts[..., 0], 1), mean)
     _, more = log_poisson_tails(counts[..., -1] + 1, mean)
@@ -460,8 +458,7 @@ def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _light(likelihood: str, prediction: Array) -> Array:
-    """Return the prediction as an array. Raises InputError if its values are known and cannot be
-    light."""
+    """Return the prediction as an array, or refuse known values that are no light."""
     if is_concrete(prediction):
         wrong = np.asarray(prediction)
         wrong = wrong[~((wrong >= 0) & (wrong < np.inf))]
@@ -526,8 +523,7 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
 
 
 def _least_slope(sensor: Sensor) -> float:
-    """Return the smallest slope of the curve from charge to signal, over the range of the
-    converter."""
+    """Return the smallest slope from charge to signal within the converter's range."""
     curve, bits = sensor.nonlinearity, sensor.bits
     if curve is None or bits is None:
         return 1.0
