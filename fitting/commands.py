@@ -180,7 +180,7 @@ def run(
         from .inference.trust import cost_in_words
         from .report.console import output, print_section
         from .report.page import as_json, write_report
-        from .report.short_chains import without_short_chains
+        from .report.section import without_short_chains
 
         kept = options.out is not None
         costs = [cost_in_words(own.posteriors.values(), seconds, typed=True) for own in sections]

@@ -15,7 +15,7 @@ from jaxvision.development import jpeg
 from ..inference.estimates import QUANTILES, Estimate
 from ..response.calibration import calibrate
 from ..response.curve import ResponseCurve
-from ..response.from_memory import from_stack
+from ..response.read import from_stack
 from ..rig import Camera
 
 SHAPE, RIM = (96, 128), 8  # pixels; width of the simulated border, for shifts

@@ -12,6 +12,7 @@ from jaxvision.errors import InputError, nearest
 from ..inference.estimates import Estimate, find, not_determined
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
+from ..inference.trust import convergence_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -182,4 +183,28 @@ def describing_nothing(section: Section, headline: str, groups: Collection[str])
             for one in section.estimates
         ),
         records={},
+    )
+
+
+def without_short_chains(section: Section, *, kept: bool) -> Section:
+    """Return the section, without its estimates if a chain is too short."""
+    short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
+    if not short:
+        return section
+    group, worst = max(short, key=lambda pair: pair[1].missing_steps)
+    steps = f"--steps {worst.steps + worst.missing_steps}"
+    if kept:
+        remedy = f"allow {steps} and run again: it goes on from here."
+    else:
+        remedy = f"allow {steps}; with --out it would go on from here."
+    why = f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}"
+    return Section(
+        kind=section.kind,
+        title=section.title,
+        estimates=(),
+        findings=(why,),
+        about=section.about,
+        settings=section.settings,
+        inputs=section.inputs,
+        failure=why,
     )

@@ -23,8 +23,8 @@ from fitting.response.code_pairs import (
     total,
 )
 from fitting.response.curve import fit_response_curve, ripple
-from fitting.response.from_memory import from_stack
 from fitting.response.places import layout_of
+from fitting.response.read import from_stack
 from fitting.response.section import section
 from fitting.response.solve import (
     Hyperparameters,
