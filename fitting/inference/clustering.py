@@ -265,9 +265,8 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return the matrix C with C^T information C = covariance^-1. The function log density(mode + C
-    (vector - mode)) then has the curvature covariance^-1 at its mode.
-    """
+    """Return C with C^T information C = covariance^-1, so that stretching by C gives that
+    curvature."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -104,10 +104,7 @@ def rank(
     covariance: Float[np.ndarray, "parameters parameters"],
     added: Mapping[str, Float[np.ndarray, "parameters parameters"]],
 ) -> Plan:
-    """Rank candidate measurements by how much their Fisher information would reduce a target's
-    variance.
-
-    `value` is the target's value in its unit."""
+    """Rank measurements by how much their information would reduce a target's variance."""
     root = np.linalg.cholesky(covariance)
     along = root.T @ slope
     now = float(along @ along)

@@ -97,10 +97,8 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
 def _widened(
     problem: Problem, vector: np.ndarray, cost: float, information: np.ndarray
 ) -> np.ndarray:
-    """Return the information matrix after doubling each parameter's standard deviation until the
-    cost rises on both sides. At a jump of the prediction, a difference quotient grows as its step
-    shrinks, and next to the jump the cost is flat, so that the curvature alone is unreliable.
-    """
+    """Return the information after doubling each standard deviation until the cost rises on both
+    sides: next to a jump of the prediction the cost is flat, and its curvature unreliable."""
     sizes = _deviations(information)
     if not np.isfinite(sizes).all():
         return information

@@ -273,11 +273,8 @@ def _made_possible(
 
 
 def _due(steps: int, block: int) -> bool:
-    """Return whether to assess the chain after this number of steps. The chain is assessed after 1,
-    2, 3, ... blocks and then less and less often, because an assessment costs as much as many
-    steps. The decision depends only on the number of steps, so that an interrupted run gives the
-    same chain.
-    """
+    """Return whether to assess the chain, which costs as much as many steps: ever less often, and
+    by the number of steps alone, so that an interrupted run gives the same chain."""
     blocks, rest = divmod(steps, block)
     if rest or blocks < 2:
         return rest == 0 and blocks == 1
@@ -310,9 +307,7 @@ def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
 
 
 def _missing(steps: int, settled: int, tau: float) -> int:
-    """Estimate the number of steps that a chain lacks, in whole hundreds; 0 if it is long enough.
-    The chain must span `TIMES_TAU` estimated autocorrelation times after a burn-in of several.
-    """
+    """Estimate the steps, in hundreds, up to `TIMES_TAU` autocorrelation times after burn-in."""
     if settled >= TIMES_TAU * tau:
         return 0
     needed = min((TIMES_TAU + BURN_IN_TAU) * without_bias(tau, settled), 10 * steps)

@@ -119,11 +119,8 @@ def gaussian_estimate(
 def reach_from_end(
     distance: Float[np.ndarray, "draws ..."], level: float
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Return whether draws accumulate at the end of their range, so that the shortest interval
-    begins there, and the length of that interval. For this, the density at the end must be at least
-    the density at the other end of the interval. An equal-tailed interval would never cover the end
-    itself.
-    """
+    """Return whether draws accumulate at an end of their range, where a shortest interval begins
+    because its density is no less than at its other end, and the length of that interval."""
     reach = np.quantile(distance, level, axis=0)
     width = AT_AN_END * reach
     first = np.sum(distance < width, axis=0)

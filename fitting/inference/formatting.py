@@ -158,9 +158,7 @@ def size_in_words(bytes: int) -> str:
 
 
 def format_cell(cell: object) -> str:
-    """Format a table cell. Floats have four significant digits, and below 10 million no exponent.
-    None becomes a dash, and other values are unchanged.
-    """
+    """Format a table cell: floats to four digits, None as a dash."""
     if cell is None:
         return "–"
     if not isinstance(cell, float):

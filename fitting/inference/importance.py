@@ -147,8 +147,7 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """Return how much the decrease of the log density at two standard deviations differs from a
-    Gaussian's."""
+    """Return how far the fall of the log density at two deviations is from a Gaussian's."""
     centre = np.asarray(mode, np.float64)
     points = jnp.asarray(np.stack([centre, *_away(centre, covariance)]), mode.dtype)
     return _misses(-evaluate_density(log_density, points, args))
@@ -200,8 +199,8 @@ def _along_a_ridge(
     seed: int,
     local: Local,
 ) -> Posterior | None:
-    """Draws along the first of some parameters, or along the next ones, in the order of how much
-    the others' information changes with them; None if too few of the draws count."""
+    """Draw along the first parameter whose draws are enough, those first along which the others'
+    information changes most; None if there is none."""
     if len(space) == 1:
         return None
     centre = np.asarray(mode, np.float64)
@@ -332,8 +331,7 @@ class _Proposed:
 
 
 def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> list[Proposal]:
-    """Return proposals on the unconstrained scale and, if there are bounds, also on the scale of
-    the numbers themselves."""
+    """Return proposals on the unconstrained scale and, with bounds, on that of the numbers."""
     centre = np.asarray(mode, np.float64)
     if not any(np.isfinite(scaled_ends(parameter)).any() for parameter in space):
         return [(centre, covariance)]
@@ -346,11 +344,8 @@ def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> li
 
 
 def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
-    """Draw equally many points from each proposal, and return them with the density of the
-    proposals' mixture (deterministic mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Each
-    proposal takes a contiguous part of the Sobol sequence, because every other point of the
-    sequence would fill only half of the space.
-    """
+    """Draw from the mixture of proposals (Owen & Zhou, J. Am. Stat. Assoc. 95, 2000), each with a
+    contiguous part of the Sobol sequence; every other point would fill only half of the space."""
     dtype = jnp.result_type(float)
     roots = [np.linalg.cholesky(spread) for _, spread in proposals]
     parts = [

@@ -160,8 +160,7 @@ Selection = str | Sequence[str] | Mapping[str, str]
 def select_names(
     selection: Selection, known: Sequence[str]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return a dictionary from new names to the selected names, and the new names that were given
-    without `*`."""
+    """Return new names to selected ones, and the new names given without `*`."""
     if isinstance(selection, str):
         selection = (selection,)
     pairs = (
@@ -337,8 +336,7 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
 def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
-    """Return the free parameters with the marginals of a prior, and the part of it that concerns
-    them."""
+    """Return the free parameters with a prior's marginals, and its part on them."""
     by_name = {parameter.name: parameter for parameter in free}
     for name in prior.required:
         if name not in by_name:
@@ -403,8 +401,7 @@ def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
 
 
 def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "... numbers"]:
-    """Transform the prior's numbers in unconstrained vectors to the scale on which each is N(0,
-    1)."""
+    """Transform a prior's numbers in vectors to the scale on which each is N(0, 1)."""
     natural = to_natural(space, vectors)[..., places_of(prior, space)]
     places = [one.score(natural[..., i]) for i, one in enumerate(prior.marginals)]
     return jnp.stack(places, axis=-1)

@@ -52,8 +52,7 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
 
 
 def _halved(places: np.ndarray, parts: int) -> np.ndarray:
-    """Return the region of each position, by halving them along their longest axis again and
-    again."""
+    """Return the region of each position, after repeated halving along the longest axis."""
     if parts == 1:
         return np.zeros(len(places), int)
     centred = places - places.mean(axis=0)

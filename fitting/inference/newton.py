@@ -197,8 +197,7 @@ def _advanced(
     digit: float,
     least: float = 0.0,
 ) -> _State:
-    """Return the state after the proposal was evaluated: the better of the two points, and the next
-    proposal."""
+    """Return the state after a proposal: the better of two points, and the next proposal."""
     xp = numpy_or_jax(state.vector)
     rounding = SAME_COST * digit * xp.abs(state.cost)
     better = cost <= state.cost + xp.where(xp.isfinite(rounding), rounding, 0)
@@ -237,10 +236,7 @@ def _solution(end: _State, tolerance: Any) -> NewtonSolution:
 def second_derivatives(
     objective: Objective, vector: Float[Array, " parameters"], args: Any
 ) -> tuple[Array, Array, Array]:
-    """Return cost, gradient and Hessian. The Hessian is computed one column at a time. For large
-    data this takes half the time of all columns together, whose intermediate arrays exceed the
-    cache.
-    """
+    """Return cost, gradient and Hessian, column by column, which is faster for large data."""
     slope = jax.value_and_grad(objective)
 
     def column(along: Array) -> tuple[tuple[Array, Array], Array]:

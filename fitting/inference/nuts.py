@@ -310,9 +310,7 @@ def _posterior(
 
 
 def _missing(draws: int, effective: float, r_hat: float) -> int:
-    """Estimate the number of draws that each chain lacks, in whole hundreds. If the chains disagree
-    although they have enough draws, twice as many draws are asked for.
-    """
+    """Estimate the draws, in hundreds, that each chain lacks; twice as many if they disagree."""
     if effective >= FEWEST_EFFECTIVE and r_hat <= LARGEST_R_HAT:
         return 0
     needed = draws * max(FEWEST_EFFECTIVE / effective, 2.0 if r_hat > LARGEST_R_HAT else 1.0)

@@ -343,9 +343,7 @@ def log_flat_slopes(
 
 @partial(jax.jit, static_argnums=0)
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
-    """Return unconstrained values on the scale of each number (identity or logarithm), inside its
-    bounds, and ln of the Jacobian determinant of this transformation.
-    """
+    """Return values on the scale of each number, and ln of the Jacobian determinant."""
     slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         slope = _log_slope(unconstrained[..., np.array(index)], *scaled_ends(parameter))
@@ -386,9 +384,7 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 
 
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean and standard deviation of each unconstrained value under its prior or its
-    bounds. The standard deviation is infinite if neither limits the value.
-    """
+    """Return mean and deviation of each value under prior or bounds; infinite without."""
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)

@@ -75,9 +75,7 @@ def fit_side_by_side(
     max_steps: Int[Array, ""],
     chance: Float[Array, "..."],
 ) -> Ends:
-    """Return the modes of problems that differ in their data (NaN where missing) and in some arrays
-    of the inputs. An entry of None in `own` marks an array that all problems share.
-    """
+    """Return the modes of problems that differ in data and `own` inputs (None: shared)."""
     leaves, form = jax.tree.flatten(problem.inputs)
 
     def one(data: Array, own: list[Any]) -> Ends:

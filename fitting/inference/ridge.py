@@ -184,8 +184,7 @@ def _between(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndar
 def _on_table(
     along: Ridge, uniform: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return u from a density whose logarithm is linear in each cell of the table, with the cell,
-    the place in it from 0 to 1, and the log density."""
+    """Return draws of u, log-linear in each cell, with cell, share of it and log density."""
     logs = along.log_density - along.log_density.max()
     width, rise = np.diff(along.places), np.diff(logs)
     steep = np.abs(rise) > 1e-9

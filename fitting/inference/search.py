@@ -146,8 +146,7 @@ class Optimum:
 
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return eigenvalues (ascending) and eigenvectors of a scaled symmetric matrix, and the
-    scales."""
+    """Return eigenvalues, eigenvectors and scales of a scaled symmetric matrix."""
     information = np.nan_to_num(information)
     size = np.sqrt(np.linalg.norm(information, axis=1))
     size = np.where(size > 0, size, 1)
@@ -314,8 +313,7 @@ def search(
 def present_numbers(
     problem: Problem, without: Sequence[str]
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return the indices of the free numbers (those of no absent candidate), and a function that
-    extends (n, free) vectors with the values of the absent candidates."""
+    """Return the indices of present numbers, and a function that adds the absent ones."""
     gone = [one for one in problem.candidates if one.name in without]
     absent = np.full(len(problem.space), np.nan)
     for candidate in gone:
@@ -344,10 +342,7 @@ def merge_optima(one: Optimum, other: Optimum) -> Optimum:
 def _surrogate_ends(
     starts: np.ndarray, problem: Problem, as_given: bool, progress: Ended | None
 ) -> np.ndarray:
-    """Return where the searches with the surrogate likelihood end, as starts for Newton's method. A
-    start remains unchanged if there is no surrogate or if its posterior density is higher than at
-    that end, as outliers may cause.
-    """
+    """Return the better of each start and the end of its search with the surrogate."""
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
@@ -455,10 +450,7 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
 
 
 def searches_at_once(vectors: Any) -> int:
-    """Return the number of starts from which a user's solver searches at once. On a CPU two
-    searches run together: their residuals fit in the cache, and a search waits for at most one
-    other. On an accelerator all run together.
-    """
+    """Return how many searches of a user's solver run at once: on a CPU two fit the cache."""
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
 
@@ -501,10 +493,8 @@ def _modes(starts: np.ndarray, local: Local, progress: Ended | None = None) -> A
 
 
 def _mode(start: np.ndarray, local: Local) -> Any:
-    """Return where Newton's method ends from one start. The search continues after convergence
-    while its steps become smaller. The Gauss-Newton curvature is approximate, so the first small
-    step may still be far from the mode.
-    """
+    """Return where Newton's method ends from one start, continued while steps become smaller,
+    because the Gauss-Newton curvature is approximate."""
     found = _modes(start, local)
     for _ in range(BEYOND):
         if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
@@ -538,9 +528,7 @@ def _completed(vectors: Array, problem: Problem) -> Array:
 def _lowest_of_grid(
     starts: np.ndarray, problem: Problem, cost: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Evaluate the cost as a function of the only searched number, on a grid over its bounds or
-    prior and at the first start. Return the lowest points (starts, 1).
-    """
+    """Return the lowest points, (starts, 1), of a grid over the only searched number."""
     parameter = problem.space[int(_nonlinear(problem)[0])]
     values = prior_values(parameter)
     if values is None:
@@ -611,9 +599,7 @@ def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, "
 def _derivatives_at(
     local: Callable[[Vector, Problem], Derivatives], vectors: Array, wanted: Array, problem: Problem
 ) -> Derivatives:
-    """Return the derivatives at each vector for which `wanted` is true. On a CPU the vectors are
-    evaluated one after another, on an accelerator all at once.
-    """
+    """Return derivatives at each vector `wanted`; on an accelerator all at once."""
     count = vectors.shape[1]
     nothing = tuple(jnp.zeros((count,) * axes, vectors.dtype) for axes in (0, 1, 2))
 
@@ -646,9 +632,7 @@ def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
 def _grouped_calls(
     program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate vectors (n, P) in groups of `TOGETHER`, so that one compiled program serves any
-    n.
-    """
+    """Evaluate vectors (n, P) in groups of `TOGETHER`: one program for any n."""
     found = []
     for begin in range(0, len(vectors), TOGETHER):
         own = vectors[begin : begin + TOGETHER]
@@ -666,9 +650,7 @@ ONE_END = 0.1
 
 
 def _missing(problem: Problem) -> str:
-    """Name the first NaN among the arguments of `predict`, with the index of its row among all
-    data.
-    """
+    """Name the first NaN among the arguments of `predict`, with its row in all data."""
     if problem.stream is None:
         return missing_in_words(problem)
     parts = enumerate(chunks(problem))

@@ -62,26 +62,18 @@ class SeparableFit(eqx.Module):
 def non_negative_amplitudes(
     gram: Float[Array, "columns columns"], moment: Float[Array, " columns"]
 ) -> tuple[Float[Array, " columns"], Float[Array, ""]]:
-    """Return the a >= 0 that minimise a^T G a - 2 a^T b, with G = `gram` and b = `moment`.
-
-    The optimum solves the unconstrained problem for its support, the columns with a > 0. With few
-    columns every support is tried, which needs no branches and is cheap under `vmap`. A column of
-    zeros has the amplitude 0."""
-    count = len(moment)
-    if count > 4:
-        raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
-    supports = jnp.array(_supports((True,) * count)[1:])
-    found, solvable = jax.vmap(_support_optimum, (0, None, None))(supports, gram, moment)
-    cost = jnp.where(solvable & jnp.all(found >= 0, axis=-1), -found @ moment, jnp.inf)
-    best = jnp.argmin(cost)
-    better = cost[best] < 0
-    return jnp.where(better, found[best], 0), jnp.where(better, cost[best], 0)
+    """Return the a >= 0 that minimise a^T G a - 2 a^T b, with G = `gram` and b = `moment`, and that
+    minimum. A column of zeros has the amplitude 0."""
+    if len(moment) > 4:
+        raise ValueError(
+            f"at most four columns, got {len(moment)}: the supports grow as 2^columns."
+        )
+    found, fall = _best_support(gram, moment, (True,) * len(moment))
+    return found, -fall
 
 
 def _supports(signed: tuple[bool, ...]) -> list[tuple[bool, ...]]:
-    """Return the possible supports, smallest first. A support is the set of columns that may be
-    non-zero; a column without a sign constraint is in all of them.
-    """
+    """Return the possible sets of non-zero columns, with all unsigned ones, smallest first."""
     choices = [(False, True) if one else (True,) for one in signed]
     return sorted(itertools.product(*choices), key=sum)
 
@@ -91,21 +83,26 @@ def amplitudes(
     moment: Float[Array, " columns"],
     signed: tuple[bool, ...],
 ) -> Float[Array, " columns"]:
-    """Return the a that minimise a^T G a - 2 a^T b, with G = `gram` and b = `moment`. Where
-    `signed` is true, a is at least 0.
-    """
+    """Return the a that minimise a^T G a - 2 a^T b, at least 0 where `signed` is true."""
     if not any(signed):
         return _solve_scaled(gram, moment)[0]
     if sum(signed) > MOST_SIGNED:
         support = _descended(*jax.lax.stop_gradient((gram, moment)), np.array(signed))
         found, _ = _support_optimum(support, gram, moment)
         return jnp.where(np.array(signed), jnp.maximum(found, 0), found)
+    return _best_support(gram, moment, signed)[0]
+
+
+def _best_support(gram: Array, moment: Array, signed: tuple[bool, ...]) -> tuple[Array, Array]:
+    """Return the best of the optima of all supports, and a^T b there: without branches, which is
+    cheap under `vmap`."""
     supports = jnp.array(_supports(signed))
     found, solvable = jax.vmap(_support_optimum, (0, None, None))(supports, gram, moment)
     inside = jnp.all((found >= 0) | ~np.array(signed)[None], axis=-1)
     fall = jnp.where(solvable & inside, found @ moment, -jnp.inf)
     best = jnp.argmax(fall)
-    return jnp.where(jnp.isfinite(fall[best]), found[best], 0)
+    known = jnp.isfinite(fall[best])
+    return jnp.where(known, found[best], 0), jnp.where(known, fall[best], 0)
 
 
 def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
@@ -122,9 +119,7 @@ def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
 
 
 def _support_optimum(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
-    """Return the unconstrained optimum for the columns of a support, with 0 for all other columns,
-    and whether it exists.
-    """
+    """Return the optimum with 0 outside the support, and whether it exists."""
     both = support[:, None] & support[None]
     own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
     return _solve_scaled(own, jnp.where(support, moment, 0))
@@ -193,9 +188,7 @@ def fit_amplitudes(
     values: Float[Any, "observations bands"],
     weights: Float[Any, "observations bands"],
 ) -> SeparableFit:
-    """Fit the fixed columns alone. In the result, the amplitudes of the searched column are 0, and
-    t is NaN.
-    """
+    """Fit the fixed columns alone: the searched amplitude is 0, t is NaN."""
     nothing = np.zeros((1, fixed.shape[1]), values.dtype)
     amplitudes, cost = _projected(nothing, fixed, values, weights)
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
@@ -273,9 +266,7 @@ def eliminate(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Elimin
 
 
 def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
-    """Return the linear and the nonlinear numbers, in natural units, as one vector (P,) in the
-    order of the space.
-    """
+    """Return linear and nonlinear numbers, in their units, as one vector (P,)."""
     closed = np.array(closed_form_indices(problem), int)
     others = np.setdiff1d(np.arange(len(problem.space)), closed)
     space = tuple(problem.space[i] for i in others)

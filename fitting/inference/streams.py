@@ -182,9 +182,7 @@ def _row_leaves(
 
 
 def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Rows]:
-    """Yield the pieces of the data in order, as floating-point numbers, from a reading that has
-    begun or from a new one.
-    """
+    """Yield the pieces of the data in order, from a reading that has begun or a new one."""
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
         own = _chosen(stream, stream.beside)
@@ -229,9 +227,7 @@ def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
 
 
 def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
-    """Yield chunks of equal length, each with a mask that is true for rows that hold data and false
-    for padding.
-    """
+    """Yield chunks of equal length, each with a mask that is false for padding."""
     rest = None
     every = np.ones(stream.size, bool)
     for piece in _pieces(stream):
@@ -286,9 +282,7 @@ def _joined(first: Rows | None, second: Rows) -> Rows:
 
 
 def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
-    """Pad rows to a size. Return them with a mask that is true for rows that hold data and false
-    for padding.
-    """
+    """Pad rows to a size, with a mask that is false for padding."""
     place = np.arange(size)
     return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
 

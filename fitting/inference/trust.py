@@ -27,9 +27,7 @@ def _diverges(posterior: Posterior) -> bool:
 
 
 def convergence_in_words(posterior: Posterior) -> str:
-    """Return one sentence on the reliability of the draws; for a short chain, with the number of
-    missing steps.
-    """
+    """Say in a sentence how reliable the draws are, or how many steps are missing."""
     if posterior.endless:
         return (
             f"The data bound {posterior.endless} on one side only, and a chain diverged. "
@@ -155,9 +153,7 @@ def cost_in_words(
 
 
 def _error_of_end(posterior: Posterior) -> float:
-    """Return the error of the ends of 95 % intervals due to the approximation of a posterior, in
-    standard errors.
-    """
+    """Return the error of 95 % ends by the approximation of a posterior, in standard errors."""
     if posterior.method == "Laplace":
         return np.inf if posterior.missed or posterior.endless else _OF_A_MISS * posterior.miss
     if posterior.method == "marginal":
