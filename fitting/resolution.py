@@ -122,7 +122,7 @@ class Resolution:
         """Return where the model's MTF is 1/2, in cycles per pixel, with intervals."""
         frequency = jnp.linspace(0, 2, 801)
         return self.fit.derived(
-            lambda **at: _falls_to_half(frequency, self._transfer(frequency, at))
+            lambda **at: _falls_to_half(frequency, _transfer(frequency, at, self.blur))
         )
 
     @property
@@ -152,7 +152,7 @@ class Resolution:
             Bands of the shape (...), no unit.
         """
         at_frequency = jnp.asarray(frequency, float)
-        return self.fit.derived(lambda **at: jnp.abs(self._transfer(at_frequency, at)))
+        return self.fit.derived(lambda **at: jnp.abs(_transfer(at_frequency, at, self.blur)))
 
     @double_precision
     def psf(self, size: int) -> Float[np.ndarray, "size size"]:
@@ -179,10 +179,6 @@ class Resolution:
         wave = np.cos(2 * np.pi * np.outer(np.arange(size) - size // 2, frequency))
         spread = wave @ transfer @ wave.T
         return spread / spread.sum()
-
-    def _transfer(self, frequency: Array, at: Mapping[str, Any]) -> Array:
-        """Return the model's OTF across the edge."""
-        return _transfer(frequency, at, self.blur)
 
     @double_precision
     def figure(self) -> "Figure":
@@ -408,17 +404,6 @@ def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None)
             raise InputError(
                 f"from_edge: {share:.0%} of the pixels have the {name} value, {codes[end]:g}, so "
                 "that one side is clipped; expose so that both sides lie within the range."
-            )
-
-
-def _plateau(pixels: "_Pixels") -> Iterator[str]:
-    """Yield a finding if one side has a single value, because it may be clipped."""
-    for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
-        share = np.mean(pixels.value == value)
-        if share > _ONE_VALUE:
-            yield (
-                f"{share:.0%} of the pixels have the {name} value, {value:g}. If the range ends "
-                "there, that side is clipped, and the MTF is too high."
             )
 
 
@@ -652,7 +637,13 @@ def _findings(
             "The fit may have missed the best edge. Wrong pixels (mark them as NaN) or a second "
             "edge in the region do this."
         )
-    yield from _plateau(pixels)
+    for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
+        share = np.mean(pixels.value == value)
+        if share > _ONE_VALUE:
+            yield (
+                f"{share:.0%} of the pixels have the {name} value, {value:g}. If the range ends "
+                "there, that side is clipped, and the MTF is too high."
+            )
     if pixels.blocks is not None:
         yield (
             "The errors of neighbouring pixels are correlated, as in a developed or compressed "

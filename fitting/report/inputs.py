@@ -2,9 +2,8 @@
 
 import base64
 import io
-from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,8 @@ def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
     entries = [
         entry
         for section in NEEDED[purpose]
-        for entry in _listed(getattr(rig, section))
+        for own in (getattr(rig, section),)
+        for entry in (own if isinstance(own, tuple) else (own,))
         if not isinstance(entry, Geometry)
     ]
     count = min(MOST_PICTURES, len(entries))
@@ -49,28 +49,20 @@ def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
     return tuple(_input(rig, entry, i in shown) for i, entry in enumerate(entries))
 
 
-def _listed(entries: Any) -> Iterable[Flat | Dark | Exposure | Light | Geometry]:
-    return entries if isinstance(entries, tuple) else [entries]
-
-
 def _input(rig: Rig, entry: Flat | Dark | Exposure | Light, shown: bool) -> Input:
     files = entry.files if isinstance(entry, Flat | Dark) else (entry.file,)
     given = entry.model_dump(exclude={"file", "files"}, exclude_defaults=True)
     settings = ", ".join(_setting(name, value) for name, value in given.items())
+    size = None
+    with suppress(OSError):
+        size = sum(rig.path(name).stat().st_size for name in files)
     return Input(
         files=files,
         kind=type(entry).__name__.lower(),
         settings=settings,
-        bytes=_bytes([rig.path(name) for name in files]),
+        bytes=size,
         picture=(lambda: small_picture(rig, files[0])) if shown else None,
     )
-
-
-def _bytes(paths: list[Path]) -> int | None:
-    try:
-        return sum(path.stat().st_size for path in paths)
-    except OSError:
-        return None
 
 
 def _setting(name: str, value: Any) -> str:

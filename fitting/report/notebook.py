@@ -20,7 +20,8 @@ class ShownInNotebooks:
     @cached_property
     def section(self) -> Section:
         """The report section: estimates, findings, tables, and figures by `section.figure`."""
-        return _section_of(self)
+        module = import_module(type(self).__module__.rpartition(".")[0] + ".section")
+        return double_precision(module.section)(self)
 
     def _repr_html_(self) -> str:
         return section_html(_with_cost(self.section))
@@ -29,12 +30,6 @@ class ShownInNotebooks:
         from .console import section_text  # imports rich, which calibrations do not need
 
         return section_text(_with_cost(self.section))
-
-
-@double_precision
-def _section_of(calibration: ShownInNotebooks) -> Section:
-    module = import_module(type(calibration).__module__.rpartition(".")[0] + ".section")
-    return module.section(calibration)
 
 
 def _with_cost(section: Section) -> Section:

@@ -326,11 +326,12 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
     return tuple(float(typical * b) for b in bounds)  # pyright: ignore[reportReturnType]
 
 
-def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
+def pareto_of(trials: Sequence[Trial], *, by: str = "error") -> tuple[int, ...]:
     """Return the indices of trials that no other surpasses in time and error, fastest first."""
     found: list[int] = []
-    for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
-        if not found or trials[i].error < trials[found[-1]].error:
+    errors = [getattr(trial, by) for trial in trials]
+    for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, errors[i])):
+        if not found or errors[i] < errors[found[-1]]:
             found.append(i)
     return tuple(found)
 

@@ -43,15 +43,11 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _p99(values: np.ndarray) -> float:
-    return float(np.quantile(np.abs(values), 0.99))
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.max(np.abs(values)))
-
-
-NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": rms, "p99": _p99, "max": _largest}
+NORMS: dict[str, Callable[[np.ndarray], float]] = {
+    "rms": rms,
+    "p99": lambda values: float(np.quantile(np.abs(values), 0.99)),
+    "max": lambda values: float(np.max(np.abs(values))),
+}
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:

@@ -22,6 +22,7 @@ import numpy as np
 from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
 from .choice import candidates
+from .curves import pareto_of
 from .deadlines import OutOfTime, run_within
 from .norms import level_of, next_error, rms
 from .records import Curve, Problem
@@ -142,14 +143,10 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 
 
 def _pareto(curve: Curve, once: float) -> Front:
-    """Return the Pareto-optimal settings of a knob, each as (setting, upper bound of the error,
-    time relative to the base setting)."""
-    found: Front = []
-    for trial in sorted(candidates(curve), key=lambda trial: (trial.seconds, trial.error_high)):
-        error = trial.error_high
-        if np.isfinite(error) and (not found or error < found[-1][1]):
-            found.append((trial.setting, error, trial.seconds / max(once, 1e-12)))
-    return found
+    """Return Pareto-optimal settings as (setting, bound of the error, time over the base's)."""
+    known = [trial for trial in candidates(curve) if np.isfinite(trial.error_high)]
+    best = [known[i] for i in pareto_of(known, by="error_high")]
+    return [(trial.setting, trial.error_high, trial.seconds / max(once, 1e-12)) for trial in best]
 
 
 class Check(NamedTuple):

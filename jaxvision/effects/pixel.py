@@ -112,26 +112,25 @@ class Pixel:
     irradiance: np.ndarray  # (bands,) W m^-2, the supremum over all pixels
     shape: tuple[int, int]  # (rows, columns) of the sensor
 
-    def high(self, name: str) -> float:
-        """Return the largest value of a parameter over its range; 0 if it is None."""
+    def high(self, name: str, absent: float = 0.0) -> float:
+        """Return the largest value of a parameter over its range; `absent` if it is None."""
         value = self.sensor.high[name]
-        return 0.0 if value is None else float(value)
+        return absent if value is None else float(value)
 
-    def low(self, name: str) -> float:
-        """Return the smallest value of a parameter over its range; 0 if it is None."""
+    def low(self, name: str, absent: float = 0.0) -> float:
+        """Return the smallest value of a parameter over its range; `absent` if it is None."""
         value = self.sensor.low[name]
-        return 0.0 if value is None else float(value)
+        return absent if value is None else float(value)
 
     @cached_property
     def gain(self) -> float:
         """The largest gain K, in DN per electron."""
-        return 1.0 if self.sensor.high["gain"] is None else self.high("gain")
+        return self.high("gain", 1.0)
 
     @cached_property
     def gain_low(self) -> float:
         """The smallest gain K, in DN per electron."""
-        value = self.sensor.low["gain"]
-        return 1.0 if value is None else float(value)
+        return self.low("gain", 1.0)
 
     @cached_property
     def light(self) -> float:
