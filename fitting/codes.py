@@ -25,18 +25,18 @@ from jaxtyping import Float
 MOST_VALUES = 2**18  # distinct numbers; frames with more lie on no grid
 RARE = 1e-9  # probability that the codes above some number share a step by chance
 FEWEST_WHOLE = 5  # distinct numbers needed to decide that all are whole
-TOP = 1e-3  # share of the pixels that must have these codes
+TOP_SHARE = 1e-3  # share of the pixels that must have these codes
 CHANCE = 1e-3  # probability that numbers of step 1 are all multiples of a larger step
-SMOOTH = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
+SMOOTH_NOISE = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
 MOST_NOISE = 2**14  # pixels from which a frame's noise is known to a per cent
 QUARTILE = 0.9539  # median distance of two normal deviates of standard deviation 1
 EXPECTED = 12.0  # pixels per code next to which an empty code counts as missing
 REACH = 4.0  # gap, in median distances, beyond which numbers do not belong to the signal
-SELDOM = 3.0  # a code is rare if both neighbouring codes occur this many times as often
-SIGNIFICANT = 5.0  # standard errors, and codes
-BELOW = 16  # numbers below the largest with which it is compared
+RARE_RATIO = 3.0  # a code is rare if both neighbouring codes occur this many times as often
+STANDARD_ERRORS = 5.0  # standard errors, and codes
+COMPARED_NUMBERS = 16  # numbers below the largest with which it is compared
 PILE, STEEP = 100, 10.0  # least pixels at the largest number, and ratio to the numbers below
-COARSE = 3.0  # DN; a finer step cannot be detected after a second rounding
+COARSE_STEP = 3.0  # DN; a finer step cannot be detected after a second rounding
 FLOAT32 = 2.0**-22  # relative rounding error of numbers stored in single precision
 
 
@@ -123,7 +123,7 @@ class Codes:
         self._broken = _counted([self._broken, np.unique(values, return_counts=True)])
         self._continuous |= self._broken.shape[1] > MOST_VALUES
         if self._continuous:
-            self._broken = self._broken[:, -BELOW - 1 :]
+            self._broken = self._broken[:, -COMPARED_NUMBERS - 1 :]
 
     def converter(self) -> Converter:
         """Return the grid on which the numbers of all frames added so far lie."""
@@ -141,7 +141,7 @@ class Codes:
             inner = self._smooth(step)[int(origin) :: int(step)]
             return Converter(step, origin, True, 0.0, _imbalance(inner), clips_at)
         scaled = _grid(used, 0.5 + 1e-3)
-        if scaled is not None and scaled[0] > COARSE:
+        if scaled is not None and scaled[0] > COARSE_STEP:
             return Converter(*scaled, clips_at=clips_at)
         coarse = _coarser_above(used, counts)
         smooth = self._smooth(1.0)
@@ -175,7 +175,7 @@ class Codes:
         """Return the counts by code of frames whose noise fills a grid of this step."""
         found = np.zeros(0, np.int64)
         for octave, counts in self._by_noise.items():
-            if 2.0**octave >= SMOOTH * step:
+            if 2.0**octave >= SMOOTH_NOISE * step:
                 found = _sum(found, counts)
         return found
 
@@ -285,7 +285,7 @@ def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tu
         many = np.arange(gaps.size, 0, -1)
         sure = (above > above[0]) & (many * np.log(np.maximum(above, 1)) > -np.log(RARE))
         # Rarely used codes leave gaps of any size.
-        sure &= float(counts.sum()) * TOP < np.cumsum(counts[: values.size][::-1])[::-1][:-1]
+        sure &= float(counts.sum()) * TOP_SHARE < np.cumsum(counts[: values.size][::-1])[::-1][:-1]
         if sure.any():
             place = int(np.argmax(sure))
             return float(values[place]), float(above[place])
@@ -333,15 +333,15 @@ def _missing(counts: np.ndarray) -> float:
     both = many[:-1] & many[1:]
     if not both.any():
         return 0.0
-    reach = max(np.ceil(COARSE), REACH * float(np.median(gaps[both])))
+    reach = max(np.ceil(COARSE_STEP), REACH * float(np.median(gaps[both])))
     near = (gaps <= reach) & both
     span = int(gaps[near].sum())
     empty = span - int(near.sum())
     beside = np.minimum(counts[used[:-2]], counts[used[2:]])
     close = used[2:] - used[:-2] <= 2 * reach
-    rare = close & (beside > EXPECTED) & (SELDOM * counts[used[1:-1]] < beside)
+    rare = close & (beside > EXPECTED) & (RARE_RATIO * counts[used[1:-1]] < beside)
     by_chance = span * np.exp(-EXPECTED)
-    if empty < SIGNIFICANT + by_chance + SELDOM * float(rare.sum()):
+    if empty < STANDARD_ERRORS + by_chance + RARE_RATIO * float(rare.sum()):
         return 0.0
     return empty / span
 
@@ -356,13 +356,13 @@ def _imbalance(counts: np.ndarray) -> float:
     pairs = counts[: counts.size // 2 * 2].reshape(-1, 2).astype(float)
     more = pairs[:, 0] - pairs[:, 1]
     total, error = pairs.sum(), np.sqrt(np.sum(more**2))
-    return float(abs(more.sum()) / total) if abs(more.sum()) > SIGNIFICANT * error else 0.0
+    return float(abs(more.sum()) / total) if abs(more.sum()) > STANDARD_ERRORS * error else 0.0
 
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
     """Return the largest number if clipping piles up far more pixels there, else None."""
-    below = counts[:-1][-BELOW:]
+    below = counts[:-1][-COMPARED_NUMBERS:]
     # In darks that are a few codes wide, the largest number may be the most frequent.
-    if below.size < BELOW or counts[-1] < max(PILE, STEEP * float(below.max())):
+    if below.size < COMPARED_NUMBERS or counts[-1] < max(PILE, STEEP * float(below.max())):
         return None
     return float(values[-1])

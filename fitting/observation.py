@@ -23,7 +23,7 @@ from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 Load = Callable[[Path], np.ndarray]  # an image by its path
 
 TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose header states the depth
-ALIKE = 1e-9  # relative difference up to which two numbers count as equal
+ROUNDING = 1e-9  # relative difference up to which two numbers count as equal
 MEMORY = Path("arrays")  # folder that messages name for images in memory
 
 
@@ -254,7 +254,7 @@ def one_site(camera: Camera) -> SiteCamera:
     for name in ("gain", "read_noise"):
         values = np.array([getattr(site, name) for site in sites], float)
         per_colour = np.sqrt(np.mean(values.reshape(len(camera.sites), -1) ** 2, axis=0))
-        if np.ptp(per_colour) > ALIKE * per_colour.max():
+        if np.ptp(per_colour) > ROUNDING * per_colour.max():
             raise InputError(
                 f"camera.{name} lists several numbers by colour, but all colours are fitted with "
                 "one; give their mean."

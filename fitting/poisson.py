@@ -16,7 +16,7 @@ from .inference.tails import log1mexp, log_ndtr
 
 # counts above which the saddle point is more accurate than XLA's gammainc, by bytes per number
 _COUNTS = {4: 100.0, 8: 1e5}
-_ALIKE = 0.03  # root of the deviance below which its series is accurate to rounding
+_SERIES_BELOW = 0.03  # root of the deviance below which its series is accurate to rounding
 # remainders of Stirling's formula, for 1, 2, ... counts
 _REMAINDERS = [
     math.lgamma(n + 1) - (n + 0.5) * math.log(n) + n - HALF_LOG_2PI for n in range(1, 32)
@@ -46,7 +46,7 @@ def log_poisson_tails(
     """
     excess = mean - n
     eta = jnp.sign(excess) * jnp.sqrt(2 * poisson_deviance(n, -excess, mean) / n)
-    alike = jnp.abs(eta) < _ALIKE
+    alike = jnp.abs(eta) < _SERIES_BELOW
     off = jnp.where(alike, 1, eta)
     shift = jnp.where(
         alike,

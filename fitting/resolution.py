@@ -53,11 +53,11 @@ _NARROWEST = 1e-3  # pixels, smallest width in a denominator
 _LEAST_DIFFRACTION = 0.02  # pixels
 _MOSAIC = 0.05  # largest difference of mosaic sites, relative to a side's level
 _NOT_TAKEN = "more starts", "other start", "Censored("  # advice of `fit` for its own arguments
-_PILED = 0.01  # share of pixels at an end of the range that means clipping
+_CLIPPED_SHARE = 0.01  # share of pixels at an end of the range that means clipping
 _ONE_VALUE = 0.2  # share of pixels with one value on a side without noise
 _CONDITION = 1e4  # largest condition number of the normal matrix
 _CHANCE = 1e-3
-_MATTERS = 0.005  # smallest difference of the transfer that is reported
+_REPORTED_DIFFERENCE = 0.005  # smallest difference of the transfer that is reported
 _TINY = 1e-30
 _NODES = 32
 _ANGLES = np.pi * np.arange(1, _NODES + 1) / (_NODES + 1)
@@ -398,9 +398,9 @@ def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None)
         share = counts[end] / known.size
         at_an_end = codes[end] >= top if name == "highest" else codes[end] == 0 and top < np.inf
         # Noise puts fewer pixels at an extreme value than next to it.
-        noisy = codes.size > 2 and counts[inner] > _PILED * known.size
+        noisy = codes.size > 2 and counts[inner] > _CLIPPED_SHARE * known.size
         piled = noisy and counts[end] > counts[inner]
-        if share > _PILED and (at_an_end or piled):
+        if share > _CLIPPED_SHARE and (at_an_end or piled):
             raise InputError(
                 f"from_edge: {share:.0%} of the pixels have the {name} value, {codes[end]:g}, so "
                 "that one side is clipped; expose so that both sides lie within the range."
@@ -657,14 +657,14 @@ def _findings(
             "pixel only. Rotate the chart by about 5 degrees."
         )
     sd = np.sqrt(np.diag(covariance))
-    if np.abs(added).max() > _MATTERS and _p_value(added, covariance) < _CHANCE:
+    if np.abs(added).max() > _REPORTED_DIFFERENCE and _p_value(added, covariance) < _CHANCE:
         worst = int(np.argmax(np.abs(added) / sd))
         yield (
             f"The measured MTF differs from the model's by up to {abs(added[worst]):.3f}, at "
             f"{result.frequency[worst]:.2f} cycles per pixel ({abs(added[worst]) / sd[worst]:.0f} "
             "standard errors). Use `otf`, which is measured without the model."
         )
-    if np.abs(skew[0]).max() > _MATTERS and _p_value(*skew) < _CHANCE:
+    if np.abs(skew[0]).max() > _REPORTED_DIFFERENCE and _p_value(*skew) < _CHANCE:
         yield (
             f"The blur is not symmetric about the edge: the transfer has an imaginary part of up "
             f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part. Coma does this, and so do "

@@ -32,7 +32,7 @@ SUFFIXES = (
     *(*FLOAT_FORMATS, ".npy"),
 )
 BITS = (8, 10, 12, 14, 16)  # bit depths of common converters
-APART = 2.0  # K, gap between temperatures that count as two settings
+TEMPERATURE_GAP = 2.0  # K, gap between temperatures that count as two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
 _DARK, _FLAT, _LIGHT = (
     re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
@@ -288,14 +288,12 @@ def _refuse_apertures(
 
 
 def _warmth(images: Sequence[_Image]) -> dict[str, float]:
-    """Return the temperature in K of each image by its name. The temperature is the mean of a
-    cluster, in which neighbouring temperatures differ by at most `APART`. The result is empty if
-    there is only one cluster.
-    """
+    """Return the temperature in K of each image by its name: the mean of a cluster, in which
+    neighbours differ by at most `TEMPERATURE_GAP`. The result is empty if there is one cluster."""
     known = sorted((i.settings.temperature, i.name) for i in images if i.settings.temperature)
     groups: list[list[tuple[float, str]]] = []
     for kelvin, name in known:
-        if groups and kelvin - groups[-1][-1][0] <= APART:
+        if groups and kelvin - groups[-1][-1][0] <= TEMPERATURE_GAP:
             groups[-1].append((kelvin, name))
         else:
             groups.append([(kelvin, name)])

@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 _FEWEST = 4  # fewest readings of a channel
 _LENGTHS = 5e-9, 400e-9  # m, range of correlation lengths in the prior
 _STARTS = 25e-9, 60e-9, 120e-9  # m
-_OF_MODEL = 1e-4  # share of the largest reading: least error of any model of light and camera
+_MODEL_ERROR = 1e-4  # share of the largest reading: least error of any model of light and camera
 # logarithm of a ratio of evidences from which a larger noise replaces the stated one
-_REFUTED = 5.0
-_LOUDER = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
-_BEYOND = 2.0  # ratio of residuals to the fitted noise that sensitivities above 0 do not explain
+_LEAST_GAIN = 5.0
+_MISFIT_RATIO = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
+_NEGATIVE = 2.0  # ratio of residuals to the fitted noise that sensitivities above 0 do not explain
 _COARSE = 0.05  # share of the largest reading: larger residuals are no noise of a photograph
 _CAUSES = (
     "Causes are uneven light, a gamma, a black level, stray light, clipped patches, or spectra "
@@ -293,15 +293,15 @@ def from_patches(
         noise, off = channel.unit * channel.noise(best), float(np.sqrt(np.mean(left**2)))
         lengths.append(np.exp(best[1]))
         noises.append(np.exp(best[2]) * (channel.unit if stated is None else 1.0))
-        if np.sqrt(np.mean((left / noise) ** 2)) > _BEYOND:
-            below = int(np.sum(y[kept, i] < -_BEYOND * noise))
+        if np.sqrt(np.mean((left / noise) ** 2)) > _NEGATIVE:
+            below = int(np.sum(y[kept, i] < -_NEGATIVE * noise))
             sentences.append(
                 f"{name}: no sensitivity of at least 0 explains the readings, which differ from "
                 f"the fit by {format_percent(off / channel.unit)} of the largest (rms)"
                 + (f"; {below} of {kept.sum()} are below 0" if below else "")
                 + f". Intervals do not allow for it. {_CAUSES}"
             )
-        elif stated is not None and np.exp(best[2]) > _LOUDER:
+        elif stated is not None and np.exp(best[2]) > _MISFIT_RATIO:
             sentences.append(
                 f"{name}: readings differ from any smooth sensitivity by {np.exp(best[2]):.2g} "
                 f"times their standard deviation; intervals allow for it. {_CAUSES}"
@@ -338,7 +338,7 @@ class _Channel:
         self.bounds = [
             (np.log(0.05), np.log(100.0)),
             tuple(np.log(_LENGTHS)),
-            (np.log(_OF_MODEL), 0.0)
+            (np.log(_MODEL_ERROR), 0.0)
             if sd is None
             else (0.0, np.log(max(100.0, 1 / self.sd.min()))),
         ]
@@ -351,7 +351,7 @@ class _Channel:
         return np.exp(2 * at[0]) * (matern + 1e-8 * np.eye(len(r)))
 
     def noise(self, at: np.ndarray) -> np.ndarray:
-        return np.hypot(np.exp(at[2]) * self.sd, _OF_MODEL)
+        return np.hypot(np.exp(at[2]) * self.sd, _MODEL_ERROR)
 
     def cost(self, at: np.ndarray) -> float:
         """Return minus the logarithm of the evidence, with broad priors about a size of 1 and a
@@ -371,7 +371,7 @@ class _Channel:
         best = self._best_from(loud)
         if low == 0 and loud > 0:  # the stated noise, unless the readings refute it
             stated = self._best_from(0.0)
-            best = best if best.fun < stated.fun - _REFUTED else stated
+            best = best if best.fun < stated.fun - _LEAST_GAIN else stated
         best = best.x
         step = 0.05 * np.eye(3)
         hessian = np.array(

@@ -38,7 +38,7 @@ from .inference.likelihoods import Censored, Numbers, numerics
 from .inference.tails import log1mexp, log_ndtr, ndtri_exp
 from .poisson import log_poisson, log_poisson_tails
 
-FAR = 1e9  # standard deviations to an open end: farther than any two codes
+OPEN_END = 1e9  # standard deviations to an open end: farther than any two codes
 ROUNDING = 0.5  # DN between a code and the ends of its interval
 
 
@@ -155,7 +155,7 @@ class _VarianceOfData(eqx.Module):
 
 
 _HALVINGS = 40  # of the range of counts, to less than one of 1e12
-_NOT_OF_A_PIXEL = ("brighter_fatter", "charge_transfer", "own", "mixing")  # effects of a sensor
+_NEIGHBOUR_EFFECTS = ("brighter_fatter", "charge_transfer", "own", "mixing")  # effects of a sensor
 
 
 class _Reading(NamedTuple):
@@ -421,8 +421,8 @@ class SensorCounts(eqx.Module):
         gain, offset, rms = (part[..., None] for part in read)
         noise = gain * rms
         centre = data[..., None] - offset - gain * self._signal(counts)
-        low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
-        high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
+        low = jnp.where(self._is_black(data)[..., None], -OPEN_END, (centre - ROUNDING) / noise)
+        high = jnp.where(self._is_white(data)[..., None], OPEN_END, (centre + ROUNDING) / noise)
         return low, high
 
 
@@ -497,7 +497,7 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
     for name in ("shot_noise", "read_noise", "gain"):
         if getattr(sensor, name) is None:
             raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
-    for name in _NOT_OF_A_PIXEL:
+    for name in _NEIGHBOUR_EFFECTS:
         if getattr(sensor, name) is not None:
             raise InputError(
                 f"SensorCounts: Sensor.{name} changes counted electrons, which are then no longer "

@@ -21,7 +21,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import __version__
-from .core._local_workers import LOOK, local_workers, replace_lost
+from .core._local_workers import CHECK_SECONDS, local_workers, replace_lost
 from .errors import InputError, install
 from .programs import source_digest
 
@@ -97,7 +97,7 @@ def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
         if not any(isinstance(answer, OSError) for answer in found.values()):
             break
         replace_lost(client)
-        time.sleep(LOOK)
+        time.sleep(CHECK_SECONDS)
     return found
 
 
@@ -249,7 +249,7 @@ def _await(client: "Client", future: "Future") -> Any:
     missed, before = time.monotonic(), None
     while True:
         try:
-            return future.result(timeout=LOOK)
+            return future.result(timeout=CHECK_SECONDS)
         except TimeoutError:
             if future.done():  # just now, or with a TimeoutError of its own
                 return future.result()

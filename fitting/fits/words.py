@@ -13,7 +13,7 @@ from ..inference.parameters import (
     prior_values,
     scaled_ends,
 )
-from ..inference.posterior import NEARLY_PRIOR, Posterior, piled_at
+from ..inference.posterior import PRIOR_RATIO, Posterior, piled_at
 from ..inference.problem import Problem
 from ..inference.search import SAME_PLACE, Optimum
 from ..inference.trust import convergence_in_words, is_trusted
@@ -207,7 +207,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
         f"{parameter.name} is known from its prior or bounds, hardly from the data: its standard "
         f"deviation is {part * width:.3g} with the data and {width:.3g} without them."
         for parameter, width, part in zip(space, before, share, strict=True)
-        if part > (HARDLY if isinstance(parameter.prior, Marginal) else NEARLY_PRIOR)
+        if part > (HARDLY if isinstance(parameter.prior, Marginal) else PRIOR_RATIO)
     ]
 
 
@@ -221,7 +221,7 @@ def _bound_findings(space: ParameterSpace, posterior: Posterior) -> list[str]:
         low, high = scaled_ends(parameter)
         middle, sd = np.median(draws), np.std(draws)
         for end, distance in (("lower", middle - low), ("upper", high - middle)):
-            if not (side == end or (distance < AT_END * sd and known <= NEARLY_PRIOR)):
+            if not (side == end or (distance < AT_END * sd and known <= PRIOR_RATIO)):
                 continue
             begins = ", and its 95 % interval begins there" if side == end else ""
             found.append(

@@ -14,7 +14,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-MANY = 50_000  # array elements from which a program takes longer to run than to optimise
+FEW_ELEMENTS = 50_000  # array elements from which a program takes longer to run than to optimise
 
 
 def compiled_briefly(function: Callable[P, R], *, always: bool = True) -> Callable[P, R]:
@@ -29,7 +29,7 @@ def compiled_briefly(function: Callable[P, R], *, always: bool = True) -> Callab
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         leaves = jax.tree.leaves((args, kwargs))
         traced = any(isinstance(leaf, Tracer) for leaf in leaves)
-        large = not (always or sum(getattr(leaf, "size", 1) for leaf in leaves) < MANY)
+        large = not (always or sum(getattr(leaf, "size", 1) for leaf in leaves) < FEW_ELEMENTS)
         return (part if traced or large else whole)(*args, **kwargs)
 
     return call

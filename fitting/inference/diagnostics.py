@@ -16,10 +16,10 @@ from jaxtyping import Float
 from .parameters import ParameterSpace, names, natural_numbers, natural_slopes, scaled_ends
 
 UNDETERMINED = 1e-10  # scaled eigenvalue that may be rounding alone: a direction without data
-CONFUSED = 5.0  # sqrt(VIF) from which it is reported
+REPORTED_VIF = 5.0  # sqrt(VIF) from which it is reported
 KNOWN_WELL = 0.05  # relative error of a parameter up to which its VIF is not reported
 PARTNER = 0.3  # component of a direction from which a parameter is named in it
-OPEN = 1.0  # standard deviation of a log parameter from which it counts as not determined
+OPEN_LOG_SD = 1.0  # standard deviation of a log parameter from which it counts as not determined
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
 def _confused(
     labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray, relative: np.ndarray
 ) -> tuple[str, ...]:
-    if inflation.max() < CONFUSED:
+    if inflation.max() < REPORTED_VIF:
         return ()
     most = int(np.argmax(inflation))
     others = [name for name in _partners(labels, worst) if name != labels[most]]

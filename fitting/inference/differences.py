@@ -21,11 +21,11 @@ from .problem import Problem, Vector, least_squares_residuals, log_density
 from .search import Optimum, add_prior
 
 REACH = 0.5  # posterior standard deviations from the optimum at which residuals are compared
-UNSEEN = 0.1  # share of a derivative that a gradient may miss without a warning
-FALL = 0.05  # least gain in log density (.3 standard deviations) for a step to be taken
-RISE = 0.1  # least rise of the cost within a standard deviation; 0.5 for a Gaussian
+MISSED_SHARE = 0.1  # share of a derivative that a gradient may miss without a warning
+LEAST_GAIN = 0.05  # least gain in log density (.3 standard deviations) for a step to be taken
+LEAST_RISE = 0.1  # least rise of the cost within a standard deviation; 0.5 for a Gaussian
 STEPS = 20
-_TINY = 1e-3  # share of a step at which differences show only rounding
+_ROUNDING_SHARE = 1e-3  # share of a step at which differences show only rounding
 _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # shares of a step that are tried
 
 
@@ -44,7 +44,7 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
     ).T
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not flagged
         # smooth residuals: `missed` is a third of `own`, and no less than a sixtieth
-        near = missed - own / 2 - 2 * rounding > UNSEEN * whole
+        near = missed - own / 2 - 2 * rounding > MISSED_SHARE * whole
         farther = own - 60 * missed - 2 * rounding > whole
         share, flagged = np.where(near, missed / whole, own / (own + whole)), near | farther
     if not flagged.any():
@@ -74,7 +74,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
         cost, *costs = on_host(_costs(jnp.asarray(tried, dtype), problem), dtype=np.float64)
         begun = cost if np.isnan(begun) else begun
         lowest = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
-        if settled := not costs[lowest] < cost - FALL:
+        if settled := not costs[lowest] < cost - LEAST_GAIN:
             break
         vector = tried[1 + lowest]
         sizes = REACH * _deviations(information)
@@ -107,7 +107,7 @@ def _widened(
         steps = np.diag(factors * sizes)
         tried = jnp.asarray(vector + np.concatenate([steps, -steps]), problem.data.dtype)
         rise = on_host(_costs(tried, problem), dtype=np.float64).reshape(2, -1) - cost
-        flat = (rise < RISE).any(axis=0)
+        flat = (rise < LEAST_RISE).any(axis=0)
         if not flat.any():
             break
         factors[flat] *= 2
@@ -145,7 +145,7 @@ def _compared(
             for x in (1.0, 0.5)
         )
         exact = along(way)
-        rounding = residuals(vector + _TINY * way) - here - _TINY * exact
+        rounding = residuals(vector + _ROUNDING_SHARE * way) - here - _ROUNDING_SHARE * exact
         parts = half, half - exact, full - half, rounding
         return jnp.stack([jnp.sqrt(jnp.sum(part**2)) for part in parts])
 

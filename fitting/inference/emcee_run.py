@@ -29,10 +29,10 @@ PATIENCE = 1.25  # growth of the chain from one assessment to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
-FROM = 256  # most walkers for a density estimate, whose cost is quadratic in their number
-FLAT = 1e6  # condition number of the scaled directions above which walkers lie in a plane
+KDE_WALKERS = 256  # most walkers for a density estimate, whose cost is quadratic in their number
+FLAT_CONDITION = 1e6  # condition number of the scaled directions above which walkers lie in a plane
 HALVINGS = 60  # halvings of a walker's distance to the mode, after which it is there
-BEYOND = 1e9  # standard deviations from the mode, which only walkers of an improper posterior reach
+IMPROPER = 1e9  # standard deviations from the mode; only walkers of an improper posterior get there
 
 
 class Unbounded(InputError):
@@ -205,7 +205,7 @@ def run_ensemble(
         with threadpool_limits(1, user_api="blas"):  # matrices are too small for threads
             for after in sampler.sample(state, iterations=steps, skip_initial_state_check=True):
                 reached = np.max(np.abs(after.coords - mode), axis=0) / deviation
-                if not np.all(reached < BEYOND):  # improper, before walkers overflow in emcee
+                if not np.all(reached < IMPROPER):  # improper, before walkers overflow in emcee
                     raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
                 state = after
         blocks.append(_block(sampler, state, fingerprint))
@@ -227,11 +227,11 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
             deviation = still.std(axis=0)
             if (
                 not deviation.all()
-                or np.linalg.cond((still - still.mean(axis=0)) / deviation) > FLAT
+                or np.linalg.cond((still - still.mean(axis=0)) / deviation) > FLAT_CONDITION
             ):
                 return differences.get_proposal(s, c, random)
-            if len(still) > FROM:
-                still = still[random.choice(len(still), FROM, replace=False)]
+            if len(still) > KDE_WALKERS:
+                still = still[random.choice(len(still), KDE_WALKERS, replace=False)]
             return super().get_proposal(s, [still], random)
 
     differences = DEMove()

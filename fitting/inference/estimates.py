@@ -13,7 +13,7 @@ from jaxvision.core.in_notebooks import record_html
 from .formatting import format_interval, format_name, format_unit, format_value
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
-AT_AN_END = 1 / 8  # share of an interval over which the density at each end is counted
+END_SHARE = 1 / 8  # share of an interval over which the density at each end is counted
 
 
 @runtime_checkable
@@ -122,7 +122,7 @@ def reach_from_end(
     """Return whether draws accumulate at an end of their range, where a shortest interval begins
     because its density is no less than at its other end, and the length of that interval."""
     reach = np.quantile(distance, level, axis=0)
-    width = AT_AN_END * reach
+    width = END_SHARE * reach
     first = np.sum(distance < width, axis=0)
     last = np.sum((distance > reach - width) & (distance <= reach), axis=0)
     return (first >= last) & (reach > 0), reach

@@ -15,8 +15,8 @@ from jaxvision.errors import InputError
 
 from .on_host import on_host
 
-INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
-ASYMMETRIC = 1e-5  # of the largest entry of a covariance: rounding of float32
+CENSORED_T = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
+ASYMMETRY = 1e-5  # of the largest entry of a covariance: rounding of float32
 LARGEST_SEED = 2**32 - 1  # largest seed that every random generator accepts
 
 
@@ -105,7 +105,7 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
         except (TypeError, ValueError) as error:
             plain = value is None or isinstance(value, str | list | tuple)
             got = repr(value) if plain else f"a {type(value).__name__}"
-            hint = f"; {INSIDE}" if hasattr(value, "log_density") else ""
+            hint = f"; {CENSORED_T}" if hasattr(value, "log_density") else ""
             raise InputError(
                 f"{what} is a number, an array or the name of a parameter, got {got}{hint}."
             ) from error
@@ -131,7 +131,7 @@ def require_positive(what: str, value: Any) -> None:
 
 def require_covariance(what: str, matrix: Float[np.ndarray, "n n"]) -> None:
     """Refuse a matrix that is not finite, symmetric and positive semi-definite up to rounding."""
-    wrong, least = "", ASYMMETRIC * float(np.abs(matrix).max(initial=0))
+    wrong, least = "", ASYMMETRY * float(np.abs(matrix).max(initial=0))
     if not np.isfinite(matrix).all():
         wrong = "holds numbers that are not finite"
     elif np.abs(matrix - matrix.T).max(initial=0) > least:

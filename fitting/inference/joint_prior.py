@@ -44,10 +44,10 @@ from .parameters import (
 from .posterior import Posterior
 from .priors import HALF_LOG_2PI
 
-FAR = 1.96  # standard deviations at which draws are compared with a Gaussian
-TOLERATED = 0.2  # standard deviations by which the draws' ends may differ from a Gaussian's
-OWN_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of the quantile at FAR
-BEYOND = 2.0  # multiple of that error by which draws of a true Gaussian may differ
+SIGMAS = 1.96  # standard deviations at which draws are compared with a Gaussian
+END_TOLERANCE = 0.2  # standard deviations by which the draws' ends may differ from a Gaussian's
+SIGMA_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of the quantile at SIGMAS
+ERROR_FACTOR = 2.0  # multiple of that error by which draws of a true Gaussian may differ
 FAR_FROM_0 = 3.0  # standard deviations from 0 of a positive number treated on a log scale
 CONSTANT = 1e-12  # relative spread of draws below which a number counts as constant
 
@@ -317,9 +317,9 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
     along = z @ axes
     every = np.concatenate([z, along / along.std(axis=0)], axis=-1)
     found = np.quantile(every, (0.025, 0.975), axis=0)
-    off = np.max(np.abs(found - np.array([[-FAR], [FAR]])), axis=0)
+    off = np.max(np.abs(found - np.array([[-SIGMAS], [SIGMAS]])), axis=0)
     worst = int(np.argmax(off))
-    if off[worst] <= TOLERATED + BEYOND * OWN_ERROR / math.sqrt(count):
+    if off[worst] <= END_TOLERANCE + ERROR_FACTOR * SIGMA_ERROR / math.sqrt(count):
         return
     name = space[worst % len(space)].name
     if worst >= len(space):
@@ -329,7 +329,7 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
     raise InputError(
         f"as_prior: the posterior of {name} is not Gaussian: 95 % of its draws lie from "
         f"{low:.2f} to {high:.2f} standard deviations about their mean, a Gaussian's from "
-        f"{-FAR} to {FAR}; fit the data of both in one problem, or take more data."
+        f"{-SIGMAS} to {SIGMAS}; fit the data of both in one problem, or take more data."
     )
 
 

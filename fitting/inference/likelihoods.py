@@ -215,7 +215,7 @@ class StudentT(eqx.Module):
         return jnp.clip(prediction + self.scale * noise, self.low, self.high)
 
 
-_FAR = -12.0  # deviations; beyond, float32 and then float64 lose the normal distribution's tail
+_TAIL = -12.0  # deviations; beyond, float32 and then float64 lose the normal distribution's tail
 
 
 class Censored(eqx.Module):
@@ -284,7 +284,7 @@ class Censored(eqx.Module):
 def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
     """Return the normal deviate of cumulative probability `chance` below `end` deviations."""
     xp, special = numerics(end, chance)
-    far = end < _FAR
+    far = end < _TAIL
     above = xp.where(far, -end, 2)
     square = above * above - 2 * xp.log(chance)
     beyond = xp.sqrt(square)

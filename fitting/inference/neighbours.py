@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 FEWEST = 16  # clusters: fewer would give too few regions for a variance
 REGIONS = 8
-NEAREST = 2  # neighbours of each cluster
+NEIGHBOURS = 2  # neighbours of each cluster
 PERMUTATIONS, CHANCE = 499, 0.01
 
 
@@ -42,8 +42,8 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
     scores = left[:, size > 1e-9 * size.max(initial=0.0)]
     apart = ((places[:, None] - places) ** 2).sum(axis=-1)
     np.fill_diagonal(apart, np.inf)
-    near = np.argsort(apart, axis=1)[:, :NEAREST].ravel()
-    own, products = np.repeat(np.arange(len(scores)), NEAREST), scores @ scores.T
+    near = np.argsort(apart, axis=1)[:, :NEIGHBOURS].ravel()
+    own, products = np.repeat(np.arange(len(scores)), NEIGHBOURS), scores @ scores.T
     rng = np.random.default_rng(0)
     orders = rng.permuted(np.tile(np.arange(len(scores)), (PERMUTATIONS, 1)), axis=1)
     chance = products[orders[:, own], orders[:, near]].sum(axis=1)

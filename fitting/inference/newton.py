@@ -24,7 +24,7 @@ Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
 
 EASIER, HARDER = 0.1, 8.0  # factors on the damping after a success and after a failure
-STUCK = 1e12  # damping at which no descent is left
+MAX_DAMPING = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
 CAREFUL = 0.1  # the first damping from a start that may lie anywhere
 SAME_COST = 45  # increase of the cost, in units of rounding, that still counts as no increase
@@ -167,7 +167,7 @@ def minimise_read(
 
 
 def _goes_on(state: _State, max_steps: Any, tolerance: Any) -> Any:
-    unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
+    unfinished = (state.decrement > tolerance) & (state.damping < MAX_DAMPING)
     return unfinished & (state.steps < max_steps)
 
 

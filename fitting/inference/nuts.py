@@ -46,7 +46,7 @@ WARM_UP = 300  # steps that adapt the step size; draws follow
 FIRST_STEP = 0.5  # in standard deviations
 FEWEST_EFFECTIVE, LARGEST_R_HAT = 400.0, 1.01
 FEWEST_DRAWS = 10
-SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # factors on a start's distance from the mode, tried in turn
+FACTORS = (1.0, 0.5, 0.25, 0.1, 0.0)  # factors on a start's distance from the mode, tried in turn
 
 
 @dataclass(frozen=True)
@@ -207,9 +207,9 @@ def _started(
     """Draw starts from Laplace's Gaussian, moved towards the mode until the density is positive."""
     density = _whitened(log_density, mode, spread, args)
     z = jax.random.normal(key, (chains, mode.size), mode.dtype)
-    nearer = jnp.asarray(SHRINKING, mode.dtype)[:, None, None] * z[None]
+    nearer = jnp.asarray(FACTORS, mode.dtype)[:, None, None] * z[None]
     possible = jnp.isfinite(jax.vmap(jax.vmap(density))(nearer))
-    first = jnp.where(possible.any(axis=0), jnp.argmax(possible, axis=0), len(SHRINKING) - 1)
+    first = jnp.where(possible.any(axis=0), jnp.argmax(possible, axis=0), len(FACTORS) - 1)
     position = nearer[first, jnp.arange(chains)]
     value, gradient = jax.vmap(jax.value_and_grad(density))(position)
     adapt, _, _ = _adaptation(0.0)  # the initial state does not depend on the target

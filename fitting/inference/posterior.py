@@ -43,9 +43,9 @@ from .parameters import (
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
-NEARLY_PRIOR = 0.7  # posterior over prior standard deviation above which the prior dominates
+PRIOR_RATIO = 0.7  # posterior over prior standard deviation above which the prior dominates
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
-_OF_KERNEL = 128  # factor on BATCH for an accelerator, where each operation costs a launch
+_KERNEL_FACTOR = 128  # factor on BATCH for an accelerator, where each operation costs a launch
 
 
 @dataclass(frozen=True)
@@ -293,7 +293,7 @@ def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
     The result is "" for a posterior about as wide as the prior, because it may be dense at both
     bounds."""
     known = prior_values(parameter)
-    if known is not None and np.std(draws) > NEARLY_PRIOR * np.std(known):
+    if known is not None and np.std(draws) > PRIOR_RATIO * np.std(known):
         return ""
     for side, distance in _from_bounds(parameter, draws).items():
         if reach_from_end(distance, 0.95)[0]:
@@ -348,7 +348,7 @@ def evaluate_density(
 
 def walkers_at_a_time() -> int:
     """Return how many walkers are evaluated at a time on this device."""
-    return BATCH if on_processor() else BATCH * _OF_KERNEL
+    return BATCH if on_processor() else BATCH * _KERNEL_FACTOR
 
 
 @eqx.filter_jit

@@ -27,8 +27,8 @@ from .newton import minimise_many
 Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 POINTS = 48  # of the table
-FIRST = 4.0  # standard deviations from the mode at which the first table ends
-DEEP = 12.0  # fall of the log density at the ends of the table
+FIRST_END = 4.0  # standard deviations from the mode at which the first table ends
+END_FALL = 12.0  # fall of the log density at the ends of the table
 ROUNDS = 8  # of tables
 FREEDOM = 5.0  # degrees of freedom of half of the proposals; the others are Gaussian
 
@@ -108,7 +108,7 @@ def ridge(
     density does not fall on both sides, or the others have no best values."""
     others = np.delete(np.arange(len(mode)), index)
     step = covariance[index] / np.sqrt(covariance[index, index])
-    low, high = -FIRST, FIRST
+    low, high = -FIRST_END, FIRST_END
 
     def held(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, curvature = local(vectors)
@@ -128,7 +128,7 @@ def ridge(
         density = np.where(known, density, -np.inf)
         if not known.any():
             return None
-        inside = np.flatnonzero(density > density.max() - DEEP)
+        inside = np.flatnonzero(density > density.max() - END_FALL)
         first, last = inside[0], inside[-1]
         wide = high - low
         if first == 0 or last == POINTS - 1:

@@ -83,7 +83,7 @@ from .problem import (
 from .separable import KNOTS, closed_form_indices, complete, eliminate, require_linear
 from .streams import Advance, chunks
 
-_OF_CORE = 2  # starts that are searched at a time, because the cache holds the residuals of two
+_CORE_STARTS = 2  # starts that are searched at a time, because the cache holds the residuals of two
 STEPS = 100  # most steps of a search
 _BOX = 10.0  # half width of the box for jaxopt's L-BFGS-B, in standard deviations of the prior
 MANY_STEPS = 1000  # most steps of a user's solver, which may need more without curvature
@@ -91,7 +91,7 @@ BEYOND, NOTHING = 30, 1e-6  # most steps after convergence, and share of its tol
 EDGE = 1e-3  # smallest distance of a start from an end of its range, as a share of the range
 SAME_PLACE = 0.5  # difference in cost up to which two searches count as one optimum
 FARTHEST = 700.0  # unconstrained, in place of infinity: the exponential of more overflows
-TOGETHER = 16  # vectors in one call, as many as the default starts of `fit`
+BATCH = 16  # vectors in one call, as many as the default starts of `fit`
 
 Derivatives = tuple[Any, Any, Any]  # a cost, its gradient and its curvature
 Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -451,7 +451,7 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
 
 def searches_at_once(vectors: Any) -> int:
     """Return how many searches of a user's solver run at once: on a CPU two fit the cache."""
-    return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
+    return min(_CORE_STARTS if on_processor() else len(vectors), len(vectors))
 
 
 def _levenberg_marquardt(
@@ -632,12 +632,12 @@ def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
 def _grouped_calls(
     program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate vectors (n, P) in groups of `TOGETHER`: one program for any n."""
+    """Evaluate vectors (n, P) in groups of `BATCH`: one program for any n."""
     found = []
-    for begin in range(0, len(vectors), TOGETHER):
-        own = vectors[begin : begin + TOGETHER]
-        filled = np.resize(own, (TOGETHER, own.shape[1]))
-        wanted = np.arange(TOGETHER) < len(own)
+    for begin in range(0, len(vectors), BATCH):
+        own = vectors[begin : begin + BATCH]
+        filled = np.resize(own, (BATCH, own.shape[1]))
+        wanted = np.arange(BATCH) < len(own)
         parts = program(filled.astype(jnp.result_type(float)), wanted, problem)
         found.append([on_host(part, dtype=np.float64)[: len(own)] for part in parts])
     cost, gradient, curvature = (np.concatenate(parts) for parts in zip(*found, strict=True))

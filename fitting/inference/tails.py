@@ -8,18 +8,18 @@ import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
 
-_FAR = 5.0  # deviations from which the continued fraction is accurate to rounding
+_FRACTION_FROM = 5.0  # deviations from which the continued fraction is accurate to rounding
 _TERMS = 24
-_NEARBY = 0.25  # dof / (dof + z^2) below which `_SUMMED` terms of the series suffice
-_SUMMED = 26
-_MANY = 20.0  # degrees of freedom from which quadrature is accurate and betainc is not
-_STEEP = 2.0  # scales from which the tail's quadrature is accurate
-_BETWEEN = np.polynomial.legendre.leggauss(16)  # nodes in (-1, 1), and weights
-_BEYOND = np.polynomial.laguerre.laggauss(32)
+_SERIES_RATIO = 0.25  # dof / (dof + z^2) below which `_SERIES_TERMS` terms of the series suffice
+_SERIES_TERMS = 26
+_FREEDOM = 20.0  # degrees of freedom from which quadrature is accurate and betainc is not
+_QUADRATURE_SCALES = 2.0  # scales from which the tail's quadrature is accurate
+_LEGENDRE = np.polynomial.legendre.leggauss(16)  # nodes in (-1, 1), and weights
+_LAGUERRE = np.polynomial.laguerre.laggauss(32)
 _HALF_STEP = (-1 / 8, 1 / 192, -1 / 640, 17 / 14336, -31 / 18432, 691 / 180224)
 _STEPS = 8
-_RARE = -20.0  # ln of a probability below which `ndtri_exp` begins with the tail's asymptote
-_REFINED = 4  # Newton steps from that start
+_ASYMPTOTE = -20.0  # ln of a probability below which `ndtri_exp` begins with the tail's asymptote
+_NEWTON_STEPS = 4  # Newton steps from that start
 HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
@@ -62,8 +62,8 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return phi(z) / Phi(z). In the lower tail the ratio is computed by Laplace's continued
     fraction a + 1 / (a + 2 / (a + 3 / (...))) with a = -z.
     """
-    far = z < -_FAR
-    a = jnp.where(far, -z, _FAR)
+    far = z < -_FRACTION_FROM
+    a = jnp.where(far, -z, _FRACTION_FROM)
     fraction = a
     for k in range(_TERMS, 0, -1):
         fraction = a + k / fraction
@@ -75,13 +75,13 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
 @jax.custom_jvp
 def ndtri_exp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return the z with log Phi(z) = `log_p`."""
-    rare = log_p < _RARE
-    square = -2 * jnp.where(rare & jnp.isfinite(log_p), log_p, _RARE)
+    rare = log_p < _ASYMPTOTE
+    square = -2 * jnp.where(rare & jnp.isfinite(log_p), log_p, _ASYMPTOTE)
     z = -jnp.sqrt(square - jnp.log(2 * np.pi * square))
-    for _ in range(_REFINED):
+    for _ in range(_NEWTON_STEPS):
         z = z - (_log_ndtr(z) + square / 2) / _hazard(z)
     z = jnp.where(log_p == -jnp.inf, -jnp.inf, z)
-    return jnp.where(rare, z, special.ndtri(jnp.exp(jnp.where(rare, _RARE, log_p))))
+    return jnp.where(rare, z, special.ndtri(jnp.exp(jnp.where(rare, _ASYMPTOTE, log_p))))
 
 
 @ndtri_exp.defjvp
@@ -106,19 +106,19 @@ def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array
 def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
     z, dof = jnp.broadcast_arrays(z, dof)
     a, x = dof / 2, dof / (dof + z**2)
-    tail = jnp.minimum(x, _NEARBY)
+    tail = jnp.minimum(x, _SERIES_RATIO)
     term = total = jnp.ones_like(tail)
-    for n in range(_SUMMED):
+    for n in range(_SERIES_TERMS):
         term = term * tail * (a + 0.5 + n) / (a + 1 + n)
         total = total + term
     series = (
         -a * _log1p_square(z / jnp.sqrt(dof)) + jnp.log1p(-tail) / 2 - jnp.log(a) + jnp.log(total)
     )
     far = series + _half_step(a) - HALF_LOG_PI
-    many = dof >= _MANY
-    near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _NEARBY)))
+    many = dof >= _FREEDOM
+    near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _SERIES_RATIO)))
     far, near = (value - float(np.log(2)) for value in (far, near))  # logarithms of F(-|z|)
-    below = jnp.where(x < _NEARBY, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
+    below = jnp.where(x < _SERIES_RATIO, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
     return jnp.where(z > 0, log1mexp(below), below)
 
 
@@ -127,18 +127,18 @@ def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
     the integral of the relative density beyond. Nearer to the median, F is its value where the tail
     begins plus the integral up to z. No term is negative.
     """
-    long = jnp.maximum(z, _STEEP)
+    long = jnp.maximum(z, _QUADRATURE_SCALES)
     square = dof + long * long
     rate = (dof + 1) * long / square
-    places = _over(z, _BEYOND[0]) / rate[None]
+    places = _over(z, _LAGUERRE[0]) / rate[None]
     fall = jnp.log1p(places * (2 * long[None] + places) / square[None])
-    left = _over(z, _BEYOND[1] * np.exp(_BEYOND[0])) * jnp.exp(-(dof[None] + 1) / 2 * fall)
+    left = _over(z, _LAGUERRE[1] * np.exp(_LAGUERRE[0])) * jnp.exp(-(dof[None] + 1) / 2 * fall)
     tail = student_log_density(long, dof) + jnp.log(left.sum(0) / rate)
     width = long - z
-    places = z[None] + width[None] * _over(z, (_BETWEEN[0] + 1) / 2)
+    places = z[None] + width[None] * _over(z, (_LEGENDRE[0] + 1) / 2)
     density = jnp.exp(student_log_density(places, dof[None]))
-    between = width * (_over(z, _BETWEEN[1] / 2) * density).sum(0)
-    return jnp.where(z > _STEEP, tail, jnp.log(jnp.exp(tail) + between))
+    between = width * (_over(z, _LEGENDRE[1] / 2) * density).sum(0)
+    return jnp.where(z > _QUADRATURE_SCALES, tail, jnp.log(jnp.exp(tail) + between))
 
 
 def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:

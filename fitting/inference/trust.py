@@ -11,8 +11,8 @@ from .parameters import names
 from .posterior import Posterior
 
 # Standard error of the 97.5 % point of n draws of a Gaussian, sqrt(p (1 - p)) / (density sqrt(n))
-_OF_AN_END = 2.67
-_OF_A_MISS = 0.8
+_END_ERROR = 2.67
+_MISS_SHARE = 0.8
 DIVERGENT = 0.001  # share of divergent trajectories from which they are reported
 
 
@@ -155,11 +155,11 @@ def cost_in_words(
 def _error_of_end(posterior: Posterior) -> float:
     """Return the error of 95 % ends by the approximation of a posterior, in standard errors."""
     if posterior.method == "Laplace":
-        return np.inf if posterior.missed or posterior.endless else _OF_A_MISS * posterior.miss
+        return np.inf if posterior.missed or posterior.endless else _MISS_SHARE * posterior.miss
     if posterior.method == "marginal":
         return 0.0
     effective = posterior.effective
     if posterior.tau is not None:
         chains, kept = posterior.draws.shape[:2]
         effective = chains * kept / float(np.max(posterior.tau))
-    return _OF_AN_END / math.sqrt(effective)
+    return _END_ERROR / math.sqrt(effective)

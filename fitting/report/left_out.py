@@ -6,13 +6,13 @@ from itertools import compress
 from ..inference.left_out import TOLERANCE, LeftOut
 from .section import Table
 
-NOTHING = 1e-6  # s.d. below which digits are meaningless
+LEAST = 1e-6  # s.d. below which digits are meaningless
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
     """Return the table of neglected errors, with bounds on their effect; empty if none."""
     rows = tuple(
-        (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
+        (name, own.name, own.size, own.bound if own.bound >= LEAST else f"below {LEAST:g}")
         for name, gone in channels
         for own in gone
     )

@@ -10,7 +10,7 @@ from rich.console import Console
 
 _LOG = logging.getLogger("jaxvision.fitting")
 Progress = Callable[[int, int], None]  # called with (done, total)
-SILENT = 30.0  # s after which a step reports, without a terminal, that it is still running
+REPORT_SECONDS = 30.0  # s after which a step reports, without a terminal, that it is still running
 
 
 class Reporter:
@@ -30,7 +30,7 @@ class Reporter:
             nonlocal printed
             self._progress.update(task, completed=done, total=total)
             now = time.perf_counter()
-            if not terminal and (done == 0 or (done < total and now - printed > SILENT)):
+            if not terminal and (done == 0 or (done < total and now - printed > REPORT_SECONDS)):
                 printed = now
                 self._progress.console.print(f"{description}: {done} of {total}")
 

@@ -18,10 +18,10 @@ from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import maximum_filter, uniform_filter
 from scipy.special import stdtr
 
-MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
+MIXED_PIXELS = 4  # pixels over which neighbours are mixed: half a block of a JPEG
 CONTRASTS = 4.0, 6.0, 9.0, 13.0  # factors by which a blur may have reduced a peak, mildest first
 FEWEST_CLIPPED = 50  # pixels to estimate the code of the shorter exposure that clips in the longer
-BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
+BRIGHT_SHARE = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # groups of codes of the shorter exposure that are compared
 SIDE, FEWEST_TILES = 4, 4  # tiles along a side of the picture; fewest tiles with such pixels
 FALSE_ALARM_PROBABILITY = 0.05  # probability of finding hidden peaks where there are none
@@ -43,7 +43,7 @@ def clear_of_clipping(
         hidden: whether to search for clipped peaks that a blur reduced to codes below `clip`.
 
     Returns:
-        Codes of the same shape. Codes within `MIXED` pixels of a clipped code or of a hidden peak
+        Codes of the same shape. Codes within `MIXED_PIXELS` of a clipped code or of a hidden peak
         are set to `clip`, rounded up.
 
     Example:
@@ -64,7 +64,7 @@ def clear_of_clipping(
 
 
 def _around(mask: np.ndarray) -> np.ndarray:
-    size = 1, 2 * MIXED + 1, 2 * MIXED + 1
+    size = 1, 2 * MIXED_PIXELS + 1, 2 * MIXED_PIXELS + 1
     return maximum_filter(mask.astype(np.uint8), size) > 0
 
 
@@ -93,7 +93,7 @@ def _darker_p_value(
     width = max(1, round(clip / INTERVALS))
     product, square = np.zeros((2, SIDE**2))
     for shorter, longer, peaks, out in zip(codes, codes[1:], lost[1:], left_out[1:], strict=False):
-        used = ~out & (longer > BRIGHT * clip)
+        used = ~out & (longer > BRIGHT_SHARE * clip)
         if not (peaks.any() and used.any()):
             continue
         code = shorter[used].astype(int)
@@ -116,8 +116,8 @@ def _darker_p_value(
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
-    """Return the pixels within `MIXED` of a mask, without its direct neighbours."""
-    one, reach = mask.astype(np.float32), 2 * MIXED + 1
+    """Return the pixels within `MIXED_PIXELS` of a mask, without its direct neighbours."""
+    one, reach = mask.astype(np.float32), 2 * MIXED_PIXELS + 1
     wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
     return reach**2 * wide - 9 * narrow > 0.5
 

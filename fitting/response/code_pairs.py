@@ -35,7 +35,7 @@ from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
 LEAST_ARGUMENT = 1e-3  # x below which sinh(x) / x is 1
-SMOOTHED = 0.3  # smoothing of the exponent, as a share of a code or, near white, of the rest
+SMOOTHING = 0.3  # smoothing of the exponent, as a share of a code or, near white, of the rest
 
 
 @dataclass(frozen=True)
@@ -223,6 +223,6 @@ def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
     corrected."""
     apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
-    near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)
+    near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHING) ** 2) / 2)
     exponent = near @ (np.diff(means) / step) / near.sum(axis=1)
     return exponent / (bins.edges[1:-1] - bins.black)

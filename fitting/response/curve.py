@@ -78,15 +78,15 @@ PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a
 PILOT_BINS = 140
 FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # needed, well exposed in two images; fewer may be hot
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
-UNCORRECTED = 0.05  # largest remaining bias of the score, as a share of the variance of ln X
+REMAINING_BIAS = 0.05  # largest remaining bias of the score, as a share of the variance of ln X
 LEAST_LOG_STEP = 1e-3  # step of ln t below which two exposures count as one
 # Ripple of g, for each unit of ln t by which a step between exposures exceeds `LARGEST_LOG_STEP`
 RIPPLE = 0.055
 # Smoothness below which the ripple is not reduced: a third of the measured median
 LEAST_SMOOTHNESS = 100.0
-FALLS = 0.5  # decrease in ln X from which a curve is refused
+REFUSED_FALL = 0.5  # decrease in ln X from which a curve is refused
 NEAR, BENT_BY = 4.0, 2.5  # pixel noises: distance from the last observed code; error of ln X there
-DOUBTFUL = 0.5  # error of the slope from its correction, as a share of the relative variance
+SLOPE_ERROR = 0.5  # error of the slope from its correction, as a share of the relative variance
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def slope_error(noise: NoiseModel) -> float:
     """Return the relative error of a curve's slope, and of gamma, that comes from variance in
     proportion to the squared light (`noise.relative`). The cause of this variance is unknown, so
     the correction of the slope for it is uncertain."""
-    return DOUBTFUL * noise.relative
+    return SLOPE_ERROR * noise.relative
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
@@ -310,7 +310,7 @@ def _require_rising(curve: ResponseCurve) -> None:
     """Refuse a curve that decreases strongly, as at a wrong optimum."""
     g, codes = curve.log_exposure[curve.seen], curve.codes[curve.seen]
     falls = np.maximum.accumulate(g) - g
-    if falls.size and falls.max() > FALLS:
+    if falls.size and falls.max() > REFUSED_FALL:
         at = int(np.argmax(falls))
         raise InputError(
             f"from code {codes[np.argmax(g[: at + 1])]:g} to {codes[at]:g} the exposure falls "
@@ -430,7 +430,7 @@ def _curve(
     covariance = bin_centre_curve(found.covariance[:size, :size], bins)
     covariance = bin_centre_curve(covariance.T, bins).T
     hidden = ripple(exposures, found.used.smoothness)
-    covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
+    covariance += np.diag(((REMAINING_BIAS * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2
     free = len(found.free)
     likely = found.suggested.shutter_error if free else 0.0

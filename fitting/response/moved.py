@@ -22,7 +22,7 @@ WIDEST = 1024  # largest side, in pixels, of the compared part, from the middle
 THRESHOLD_RANGE = 0.03, 0.95  # shares of the range of codes between which a threshold must lie
 FARTHEST = 8  # largest shift: the picture's side divided by this number
 MOST_FIXED = 0.9  # share of pixels with one number in all images that may be left out
-LEAST = 2.0  # shift, in pixels, from which an image is left out and not moved back
+LEAST_SHIFT = 2.0  # shift, in pixels, from which an image is left out and not moved back
 SIGNIFICANCE_SIGMAS = 6.0  # standard deviations by which a shift must increase the agreement
 LEAST_KAPPA = 0.5  # Cohen's kappa of the agreement needed at the found shift
 
@@ -47,14 +47,14 @@ def moved_exposures(
         smooth = [np.where(fixed, np.nan, frame) for frame in smooth]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
     places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
-    far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
+    far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST_SHIFT
     middle = int(np.argmin(far.sum(axis=1)))
     home = places[middle]
     apart = np.hypot(*(places - home).T)
     near = {}
-    for i in np.flatnonzero((apart > 0) & (apart < LEAST)).tolist():
+    for i in np.flatnonzero((apart > 0) & (apart < LEAST_SHIFT)).tolist():
         down, right = _shift(smooth[middle], smooth[i], full_scale)
-        if 0 < np.hypot(down, right) < LEAST and not (down % cell[0] or right % cell[1]):
+        if 0 < np.hypot(down, right) < LEAST_SHIFT and not (down % cell[0] or right % cell[1]):
             near[names[i]] = int(down), int(right)
     return [
         OddFrames(
@@ -63,7 +63,7 @@ def moved_exposures(
             "its position in most exposures; align the images or use a tripod",
         )
         for name, (down, right) in zip(names, places - home, strict=True)
-        if np.hypot(down, right) >= LEAST
+        if np.hypot(down, right) >= LEAST_SHIFT
     ], near
 
 

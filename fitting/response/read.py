@@ -40,12 +40,12 @@ from .moved import moved_back, moved_exposures
 
 # Increase of the exposure during which a pixel without light stays constant
 LEAST_EXPOSURE_RATIO = 8.0
-BRIGHTER = 1.9
+LEAST_RATIO = 1.9
 MAJORITY_SHARE = 0.5  # share of darker pixels from which a longer exposure counts as darker
 FEWEST_ALIKE = 0.005  # least share of constant pixels that determines a level
-DARKER = 0.01  # share of pixels below a level from which it is not black
-DIM = 0.05  # share of the range above black from which a pixel changes with the exposure
-FIXED = 0.001  # share of pixels with one number in all images: reported
+DARKER_SHARE = 0.01  # share of pixels below a level from which it is not black
+DIM_SHARE = 0.05  # share of the range above black from which a pixel changes with the exposure
+FIXED_SHARE = 0.001  # share of pixels with one number in all images: reported
 LOWEST_STUCK = 0.01  # quantile of the constant codes
 
 Codes = UInt16[np.ndarray, "exposures h w"]
@@ -161,7 +161,7 @@ def read_exposure_stack(
         kept = _without_odd_images(rig, tuple(entries), frames, remarks)
         planes += _planes(rig, group, kept, mask, measured_black, frames, converter)
     fixed = max(float(np.mean(_painted(p.codes, p.exposures, p.black, p.clip))) for p in planes)
-    if fixed > FIXED:
+    if fixed > FIXED_SHARE:
         remarks.append(
             f"{format_percent(fixed)} of the pixels have the same number above black in all "
             "images, as bars, an overlay or dead pixels have, and were left out."
@@ -396,7 +396,7 @@ def floor_level(
     if (
         fixed[dark].mean() > MAJORITY_SHARE
         and scene.size
-        and np.mean(scene < level - step) > DARKER
+        and np.mean(scene < level - step) > DARKER_SHARE
     ):
         return 0.0
     # By chance, noise keeps a few pixels of any code constant. Other pixels of that code rise with
@@ -420,7 +420,7 @@ def _painted(
 ) -> Bool[np.ndarray, "h w"]:
     """Return a mask of pixels that do not show the scene, such as overlays. The codes of such
     pixels do not change with the exposure, are not clipped and are too high for dark pixels."""
-    lit = codes[0] > black + DIM * (clip - black)
+    lit = codes[0] > black + DIM_SHARE * (clip - black)
     return unchanged(codes, exposures) & lit & (codes[0] < clip)
 
 
@@ -430,7 +430,7 @@ def ceiling_level(
     """Estimate the clip level as a low quantile of the codes of pixels that clip. Pixels count as
     clipping if their code is above half scale and changes by at most one step while the exposure
     grows by a factor of at least 1.9."""
-    shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
+    shorter = np.flatnonzero(exposures * LEAST_RATIO <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)
     before, after = codes[shorter[-1]].astype(int), codes[-1].astype(int)

@@ -11,7 +11,7 @@ from ..errors import InputError
 from .fitted import order_holds
 from .records import Curve, Trial
 
-BEYOND = 2**14  # factor on the finest setting, up to which the declared order is extrapolated
+REACH = 2**14  # factor on the finest setting, up to which the declared order is extrapolated
 STEP = 2**0.5  # ratio of successive inferred settings
 
 
@@ -28,7 +28,7 @@ def candidates(curve: Curve) -> tuple[Trial, ...]:
         return run
     solid = [trial for trial in run if not trial.hollow]
     known, found = {trial.setting for trial in run}, list(run)
-    setting, most = float(solid[0].setting), BEYOND * solid[-1].setting
+    setting, most = float(solid[0].setting), REACH * solid[-1].setting
     if not curve.knob.random:  # a bias may not follow the law beyond the measured settings
         most = max(curve.knob.settings + curve.knob.reference)
     while (setting := setting * STEP) <= most:

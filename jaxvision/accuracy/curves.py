@@ -16,9 +16,9 @@ from .knobs import knob_named
 from .norms import check_norms, level_of, next_error, norms_of, relative_rms, rms, spreads_over
 from .records import Curve, Knob, Problem, Reference, Trial
 from .reference import (
-    PAIRED,
-    SURE,
-    UNITS,
+    ERROR_FACTOR,
+    PAIR_SEEDS,
+    ROUNDING_UNITS,
     mean_of,
     paired_reference,
     random_reference,
@@ -177,7 +177,7 @@ def _run_twice(session: Session, setting: Any) -> None:
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.taken + share * session.left
     try:
-        for seed in PAIRED:
+        for seed in PAIR_SEEDS:
             session.call(setting, seed, within=until - session.taken)
     except OutOfTime:  # one call does not distinguish a bias from chance
         session.points.pop(setting, None)
@@ -189,12 +189,12 @@ def _take_turns(session: Session, seeds: int) -> None:
     """Call all settings alternately, with further seeds, while the next call fits the time."""
     session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
-    for number in range(len(PAIRED), rounds):
+    for number in range(len(PAIR_SEEDS), rounds):
         for setting in session.knob.settings:
             known = setting in session.points
             if known and session.expected(setting, calls=1) <= session.left:
                 try:
-                    session.call(setting, number if session.knob.random else PAIRED[0])
+                    session.call(setting, number if session.knob.random else PAIR_SEEDS[0])
                 except OutOfTime:  # slower than earlier calls, but already measured
                     session.given_up = ""
                     return
@@ -258,7 +258,7 @@ def _gap(
     means = [mean_of(list(one.results.values()), session.problem.compared) for one in known]
     gaps = [rms(mean - exact) for mean, _ in means]
     own = session.points.get(reference.setting)
-    units = 0.0 if own is None else UNITS * own.rounding
+    units = 0.0 if own is None else ROUNDING_UNITS * own.rounding
     if error <= units * rms(exact):
         pairs = zip(gaps, means, strict=True)
         return min((max(gap, scatter) for gap, (_, scatter) in pairs), default=np.inf)
@@ -299,7 +299,7 @@ def _trial(
     # it.
     own = floor * (norms[names[0]] / norms["rms"] if norms["rms"] > 0 else 1.0)
     if not knob.random and own > 0:
-        low, high = max(low - SURE * own, 0.0), high + SURE * own
+        low, high = max(low - ERROR_FACTOR * own, 0.0), high + ERROR_FACTOR * own
     high += own if hollow and own > 0 else 0.0
     times = whole_seconds(problem, np.array(point.warm or [point.first]), point.once)
     middle, low_time, high_time = np.quantile(times, [0.5, 0.25, 0.75]).tolist()

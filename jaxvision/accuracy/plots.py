@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LEAST_RANGE = 2.0  # smallest ratio of an axis's ends, so that its labels differ
-ROOM = 0.15  # share of the height for points without an error
-BESIDE = 0.15  # share of the width for names of other programs
-BELOW = 0.03  # share of the smallest error, down to which the axis extends
+HEIGHT_SHARE = 0.15  # share of the height for points without an error
+NAME_SHARE = 0.15  # share of the width for names of other programs
+LEAST_SHARE = 0.03  # share of the smallest error, down to which the axis extends
 _UNKNOWN = "no error is known: allow more time"
 
 
@@ -45,7 +45,7 @@ def plot(
     floor = curve.reference.error
     shown = [t for t in curve.trials if np.isfinite(t.error) and t.error > 0]
     # a much more accurate reference, or an error bar to zero, would flatten the points
-    bottom = BELOW * min((t.error for t in shown), default=0.0)
+    bottom = LEAST_SHARE * min((t.error for t in shown), default=0.0)
     for trial in shown:
         error = 100 * trial.error
         ends = (x if np.isfinite(x) else trial.error for x in (trial.error_low, trial.error_high))
@@ -70,14 +70,14 @@ def plot(
     for _, seconds, error in rivals:
         axes.plot(seconds, error, "^", color=PURPLE, ms=5)
     if rivals:
-        axes.margins(x=BESIDE)
+        axes.margins(x=NAME_SHARE)
     none = "no error was found" if exact else _UNKNOWN
     if shown and exact:
         axes.update_datalim([(t.seconds, 100 * shown[0].error) for t in exact])
     _scale_axis(axes, [t.error for t in shown], curve.error_axis, none)
     if shown:
         low, high = axes.get_ylim()
-        axes.set_ylim(low * (low / high) ** (ROOM if exact else 0), high)
+        axes.set_ylim(low * (low / high) ** (HEIGHT_SHARE if exact else 0), high)
         name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
         name_points(axes, rivals, below=True, color=PURPLE)
         _without_error(axes, exact)

@@ -17,13 +17,13 @@ from .session import Session
 
 DRAWS = 4  # smallest number of independent results in the mean of a random reference
 MOST_DRAWS = 16
-SHARE = 0.6  # share of the remaining time
-LATEST = 0.9  # share of the remaining time, after which a reference is abandoned
+TIME_SHARE = 0.6  # share of the remaining time
+ABANDON_SHARE = 0.9  # share of the remaining time, after which a reference is abandoned
 FIRST_SEED = 1_000_000  # first seed of references; trials have smaller seeds
-PAIRED = (0, 1)  # seeds with which settings of a bias are compared with each other
-UNITS = 4  # ULP: the smallest error that is assumed for a sum
-MOST_UNLIKE = 4.0  # factor on the error expected from the steps between settings, as the limit
-SURE = 1.5  # factor on the estimated error of a reference, as its upper limit
+PAIR_SEEDS = (0, 1)  # seeds with which settings of a bias are compared with each other
+ROUNDING_UNITS = 4  # ULP: the smallest error that is assumed for a sum
+MAX_DISAGREEMENT = 4.0  # factor on the error expected from the steps between settings, as the limit
+ERROR_FACTOR = 1.5  # factor on the estimated error of a reference, as its upper limit
 RUNGS = 4  # settings of a sequence: three determine the rate of its decrease, a fourth the law
 MOST_TAIL = 6.0  # largest error after the last step, in units of this step
 STEEPEST = 300.0  # fall of an error between two settings, as a logarithm
@@ -66,8 +66,8 @@ def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
     """Return independent results of a setting, as many as can be computed in a share of the
     remaining time. A seed that fails is skipped if other seeds have succeeded."""
     draws: list[np.ndarray] = []
-    until = session.taken + SHARE * max(session.left, 0.0)
-    latest = session.taken + LATEST * session.left
+    until = session.taken + TIME_SHARE * max(session.left, 0.0)
+    latest = session.taken + ABANDON_SHARE * session.left
     for seed in range(FIRST_SEED, FIRST_SEED + MOST_DRAWS):
         if len(draws) >= DRAWS and session.taken + session.expected(setting, calls=1) > until:
             break
@@ -98,13 +98,13 @@ def paired_reference(
     between the results of the finest settings."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
-    steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
+    steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIR_SEEDS)]
     chosen = steps[-1]
     for setting in knob.reference if finer else ():
-        if session.expected(setting, calls=len(PAIRED)) > SHARE * session.left:
+        if session.expected(setting, calls=len(PAIR_SEEDS)) > TIME_SHARE * session.left:
             break
         try:
-            for seed in PAIRED:
+            for seed in PAIR_SEEDS:
                 session.call(setting, seed)
         except OutOfTime:
             session.points.pop(setting, None)
@@ -117,7 +117,7 @@ def paired_reference(
     rungs = (*steps[-RUNGS:-1], chosen)
     ladder = _ladder(session, rungs)
     found = ladder[-1]
-    rounding = UNITS * session.points[chosen].rounding * rms(found[PAIRED[0]])
+    rounding = ROUNDING_UNITS * session.points[chosen].rounding * rms(found[PAIR_SEEDS[0]])
     if exact and chosen == knob.reference[-1]:
         return Reference(chosen, rounding, "exact setting"), found
     how = "twice as fine" if chosen in knob.reference else "finest setting"
@@ -128,7 +128,7 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
     """Return the distance, in the result's unit, between the reference and the finest of at least
     three other settings, if this distance is larger than the differences between those settings
     explain. Otherwise return 0."""
-    run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
+    run = [one for one in settings if session.points[one].results.keys() >= set(PAIR_SEEDS)]
     run = run[-RUNGS:]
     rungs = [one for one in run if isinstance(one, int | float)]
     if len(rungs) < 3:
@@ -136,23 +136,23 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
     ladder = _ladder(session, rungs)
     apart = [
         ladder[-1][seed] - (reference[seed] if isinstance(reference, dict) else reference)
-        for seed in PAIRED
+        for seed in PAIR_SEEDS
     ]
     gap = rms(np.mean(apart, axis=0))
-    return gap if gap > MOST_UNLIKE * _tail(session.knob, rungs, ladder) else 0.0
+    return gap if gap > MAX_DISAGREEMENT * _tail(session.knob, rungs, ladder) else 0.0
 
 
 def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
     """Return the prepared results of each setting, for the seeds that all have."""
     results = (session.points[setting].results for setting in settings)
-    return [{seed: session.compared(own[seed]) for seed in PAIRED} for own in results]
+    return [{seed: session.compared(own[seed]) for seed in PAIR_SEEDS} for own in results]
 
 
 def _finest(session: Session, *, calls: int) -> Any:
     """Return the finest setting whose calls fit into the time, else the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
-        if session.expected(setting, calls=calls) <= SHARE * session.left:
+        if session.expected(setting, calls=calls) <= TIME_SHARE * session.left:
             chosen = setting
     return chosen
 
@@ -165,7 +165,7 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
     if len(ladder) < 2:
         return float("inf")
     steps = [
-        np.mean([after[seed] - before[seed] for seed in PAIRED], axis=0)
+        np.mean([after[seed] - before[seed] for seed in PAIR_SEEDS], axis=0)
         for before, after in pairwise(ladder)
     ]
     last = rms(steps[-1])

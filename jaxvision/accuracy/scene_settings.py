@@ -29,14 +29,14 @@ from .deadlines import OutOfTime, TooLittleTime, run_within
 from .knobs import KNOBS
 from .norms import rms
 from .records import Curve, Knob, Problem
-from .scenes import APART, entry_of, knobs_of, scene_problem
+from .scenes import SEPARATE_KNOBS, entry_of, knobs_of, scene_problem
 from .session import Clock, part_seconds
 from .several import Together, all_together, combine_and_check
 
-PROVED = 0.25  # share of the tolerance for dropped effects
-CHECK = 0.35  # share of the time budget for the check
-TOGETHER = 0.25  # share of the measuring time for the checks of combinations
-PRUNING = 0.5  # share of the time budget for pruning, after which the scene is rendered whole
+EFFECTS_SHARE = 0.25  # share of the tolerance for dropped effects
+CHECK_SHARE = 0.35  # share of the time budget for the check
+COMBINATION_SHARE = 0.25  # share of the measuring time for the checks of combinations
+PRUNING_SHARE = 0.5  # share of the time budget for pruning, after which the scene is rendered whole
 
 
 @dataclass(frozen=True)
@@ -140,12 +140,12 @@ def measured_together(
     now = clock or time.perf_counter
     until = now() + seconds
     asked = asked_knobs(str(source.path), names, knobs_of(source, source.render))
-    several = len(set(asked) - set(APART)) > 1
+    several = len(set(asked) - set(SEPARATE_KNOBS)) > 1
     problem, curves = measured(
         source,
         source.render,
         names=asked,
-        seconds=(1 - TOGETHER) * seconds if several else seconds,
+        seconds=(1 - COMBINATION_SHARE) * seconds if several else seconds,
         metrics=metrics,
         clock=clock,
     )
@@ -210,7 +210,7 @@ def settings(
         picture = np.asarray(problem.prepare(problem.settings)(0), np.float64)
         picture = picture if problem.compared is None else problem.compared(picture)
         level = rms(picture)
-    pruned, prunable = None, until - (1 - PRUNING) * seconds
+    pruned, prunable = None, until - (1 - PRUNING_SHARE) * seconds
     with suppress(OutOfTime):
         pruned = run_within(lambda: _prune(scene_file, tolerance, level), lambda: prunable - now())
     if pruned is not None and pruned.certificate.dropped:
@@ -219,12 +219,12 @@ def settings(
     remains = until - now()
     if remains < LEAST:
         raise _too_little(scene_file, seconds)
-    names = tuple(name for name in knobs_of(left, own) if name not in APART)
+    names = tuple(name for name in knobs_of(left, own) if name not in SEPARATE_KNOBS)
     problem, curves = measured(
         left,
         own,
         names=names,
-        seconds=(1 - CHECK) * remains,
+        seconds=(1 - CHECK_SHARE) * remains,
         expand=None if pruned is None else pruned.expand,
         clock=clock,
         problem=problem,
@@ -300,7 +300,7 @@ def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> P
     """Drop the negligible effects for paths of up to the largest measured depth."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
-    share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
+    share = "0" if tolerance is None else f"{EFFECTS_SHARE * tolerance:.6e}"
     try:
         return prune_scene(source, deep, share, level=level)
     except InputError:  # a scene without any bound is rendered whole

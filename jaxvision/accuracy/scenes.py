@@ -32,7 +32,7 @@ PROBE = 64  # computed pixels along each side
 NODES = {"quadrature": 8, "monte_carlo": 64, "balanced": 64}  # orders of 64 samples a light
 SCALING = 0.1  # share of the whole time that a program for the scaling of times may take
 FEW = 16  # samples of a problem while other knobs are varied
-APART = ("rule",)  # compared at its own number of samples, independent of the other knobs
+SEPARATE_KNOBS = ("rule",)  # compared at its own number of samples, independent of the other knobs
 # random, but not in the position of rays within a pixel
 OF_LIGHT = ("light samples", "rule", "gather")
 _ABOUT = (
@@ -87,7 +87,7 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
     """Return the values of all knobs while another is measured, with at most 16 samples."""
     found = {}
-    for name in (name for name in names if name not in APART):
+    for name in (name for name in names if name not in SEPARATE_KNOBS):
         value = getattr(settings, "order" if name == "light samples" else name)
         found[name] = min(value, FEW) if name == "samples" else value
     return found

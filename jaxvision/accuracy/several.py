@@ -26,12 +26,12 @@ from .curves import pareto_of
 from .deadlines import OutOfTime, run_within
 from .norms import level_of, next_error, rms
 from .records import Curve, Problem
-from .reference import DRAWS, FIRST_SEED, SURE, mean_of
+from .reference import DRAWS, ERROR_FACTOR, FIRST_SEED, mean_of
 from .session import Clock, part_seconds, whole_seconds
 
-FRESH = 3  # seeds of the check
+CHECK_SEEDS = 3  # seeds of the check
 # factors on a random setting for each draw of a reference; the second if time is short
-FINER = (4, 2)
+FACTORS = (4, 2)
 ROUNDS = 3  # rounds of tightening after a failed check
 MARGIN = 0.9
 TOLERANCES = (0.1, 0.01, 0.001)
@@ -220,13 +220,13 @@ def check_combination(
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(
-        SURE * one.reference.error
+        ERROR_FACTOR * one.reference.error
         for one in curves
         if not one.knob.random and one.knob.name not in best.unknown
     )
     turned = {**problem.settings, **best.settings}
     random = any(one.knob.random for one in curves)
-    for finer in FINER if random else (1,):
+    for finer in FACTORS if random else (1,):
         finest, each = _finer(problem, curves, best, finer)
         compiling = sum(
             problem.compiling
@@ -234,7 +234,7 @@ def check_combination(
             if problem.compiled is None or not problem.compiled(one)
         )
         call = part_seconds(problem, best.seconds)
-        if compiling + DRAWS * each + FRESH * call <= seconds:
+        if compiling + DRAWS * each + CHECK_SEEDS * call <= seconds:
             with suppress(OutOfTime):
                 work = partial(_fresh_runs, problem, finest, turned, random, now)
                 check = run_within(work, lambda: until - now())
@@ -281,7 +281,7 @@ def _fresh_runs(
     reference, own = mean_of(draws, compared) if random else (compared(draws[0]), 0.0)
     chosen = problem.prepare(turned)
     errors, times = [], []
-    for seed in range(FIRST_SEED // 2, FIRST_SEED // 2 + FRESH):
+    for seed in range(FIRST_SEED // 2, FIRST_SEED // 2 + CHECK_SEEDS):
         begun = now()
         result = np.asarray(chosen(seed))
         times.append(now() - begun)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
 LOSSES = 100  # a task is given up when more workers have died with it
-LOOK = 5.0  # s between two checks of the workers while a result is awaited
+CHECK_SECONDS = 5.0  # s between two checks of the workers while a result is awaited
 MEMORY = 0.9  # fraction of the machine's memory for all workers together
 STARTS = 3  # attempts to start all workers, if one dies during its start
 
@@ -49,7 +49,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
     options = {
         "distributed.nanny.pre-spawn-environ": single | jax_variables,
         "distributed.scheduler.allowed-failures": LOSSES,
-        "distributed.deploy.lost-worker-timeout": f"{LOOK} s",
+        "distributed.deploy.lost-worker-timeout": f"{CHECK_SECONDS} s",
         # The profiler's samples of JAX's deep call stacks would fill the memory of a worker.
         "distributed.worker.profile.enabled": False,
         # Compiled programs cannot be moved to disk, so a worker that pauses for memory would wait

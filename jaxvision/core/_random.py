@@ -46,14 +46,14 @@ def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Ar
     whole multiples of 2^-32. In d dimensions, alpha_i = phi^-i with phi^(d+1) = phi + 1 (Roberts,
     2018). Each pixel has a random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13
     (1976))."""
-    shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
+    shifts = _words(stream, jnp.uint32(0), _LATTICE_BLOCK)
     steps = _steps(dimensions)
     sample = jnp.uint32(0) if stream.sample is None else stream.sample
     words = [shift + sample * step for shift, step in zip(shifts, steps, strict=False)]
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
-_OF_LATTICE = 0xFFFFFFFF  # the block of the lattice's shifts, which no path uses
+_LATTICE_BLOCK = 0xFFFFFFFF  # the block of the lattice's shifts, which no path uses
 
 
 def _steps(dimensions: int) -> list[np.uint32]:

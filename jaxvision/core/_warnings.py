@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 # packages whose frames are skipped on the way to the caller's line
-_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")
+_PACKAGES = ("jaxvision", "jax", "equinox", "contextlib", "functools")
 
 # The warnings given during the current call from outside; None between calls.
 _of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
@@ -38,6 +38,6 @@ def warn_caller(text: str) -> None:
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line of user code that called the library."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _PACKAGES:
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=level)

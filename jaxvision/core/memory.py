@@ -7,7 +7,7 @@ anew, page by page. For images of tens of megabytes, this mapping takes longer t
 import ctypes
 
 _TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # from glibc's malloc.h
-_NEVER = 2**31 - 1
+_MAX_INT = 2**31 - 1
 
 
 def keep_memory() -> bool:
@@ -32,5 +32,5 @@ def keep_memory() -> bool:
     except (OSError, AttributeError):
         return False
     # One heap for all threads, because the heap of a thread is unmapped as soon as it is empty.
-    settings = (_MMAP_MAX, 0), (_TRIM_THRESHOLD, _NEVER), (_ARENA_MAX, 1)
+    settings = (_MMAP_MAX, 0), (_TRIM_THRESHOLD, _MAX_INT), (_ARENA_MAX, 1)
     return all(mallopt(*setting) for setting in settings)

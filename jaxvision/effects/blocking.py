@@ -40,9 +40,9 @@ from .boxes import same
 from .illumination import Source
 
 _ROUNDINGS = 4.0  # relative rounding error of a coordinate, for shapes that touch a plane
-_SAFELY = 32.0  # float64 roundings by which disjoint bodies must be separated
-_BEYOND = 4  # distance, over the reach, at which a light at infinity is placed
-_AT_ONCE = 1 << 15
+_SEPARATION = 32.0  # float64 roundings by which disjoint bodies must be separated
+_LIGHT_DISTANCE = 4  # distance, over the reach, at which a light at infinity is placed
+_BATCH = 1 << 15
 _FACES = 2000  # faces of a mesh, up to which its convexity is tested
 
 
@@ -83,7 +83,7 @@ def is_convex(shape: Ends[Shape]) -> bool:
 
 def certain(reach: float) -> float:
     """Return the largest float64 rounding error, in m, of sums of coordinates up to `reach`."""
-    return _SAFELY * float(np.finfo(np.float64).eps) * reach
+    return _SEPARATION * float(np.finfo(np.float64).eps) * reach
 
 
 def slack_over(
@@ -218,7 +218,7 @@ def _separated(
     reach: float,
 ) -> None:
     """Clear the flags in `may` of occluders disjoint from the convex hull of light and receiver."""
-    n, tolerance = len(bounded), certain(_BEYOND * reach)
+    n, tolerance = len(bounded), certain(_LIGHT_DISTANCE * reach)
     for k, source in enumerate(sources):
         if source.kind == "sky":
             continue
@@ -231,8 +231,8 @@ def _separated(
         # first along fixed directions, then by search for the remaining triples
         high, low = heights(lit, DIRECTIONS), -heights(bodies, -DIRECTIONS)
         clear = np.zeros(len(receiver), bool)
-        for start in range(0, len(receiver), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
+        for start in range(0, len(receiver), _BATCH):
+            part = slice(start, start + _BATCH)
             clear[part] = (low[occluder[part]] - high[receiver[part]]).max(1) > tolerance
         rest = np.flatnonzero(~clear)
         found = gap(taken(lit, receiver[rest]), taken(bodies, occluder[rest]), enough=tolerance)
@@ -248,6 +248,6 @@ def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
         each = len(bodies.points)
         lamp = Bodies(np.tile(points, (each, 1, 1)), np.tile(radii, (each, 1)))
         return hulls(bodies, lamp)
-    far = _BEYOND * reach
+    far = _LIGHT_DISTANCE * reach
     wide = far * np.tan(min(float(source.size[0]), 1.5))
     return hulls(bodies, Bodies(bodies.points + far * source.places[0], bodies.radii + wide))

@@ -25,7 +25,7 @@ _AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS = _AXES / np.linalg.norm(_AXES, axis=1, keepdims=True)  # (26, 3)
 
 _STEPS = 48  # steps of Gilbert's algorithm
-_AT_ONCE = 1 << 14  # pairs
+_BATCH = 1 << 14  # pairs
 
 
 class Bodies(NamedTuple):
@@ -196,8 +196,8 @@ def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
     The search for a larger bound stops at a bound above `enough`, in m.
     """
     found = np.zeros(len(a.points))
-    for start in range(0, len(found), _AT_ONCE):
-        part = np.arange(start, min(start + _AT_ONCE, len(found)))
+    for start in range(0, len(found), _BATCH):
+        part = np.arange(start, min(start + _BATCH, len(found)))
         found[part] = _gap(taken(a, part), taken(b, part), enough)
     return found
 

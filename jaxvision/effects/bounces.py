@@ -33,9 +33,9 @@ from .sums import Sums, pictured, sent
 
 EMITTED = 1  # segments of a path from an emitter: surface to eye
 DIRECT = 2  # segments of a path of direct light: light to surface, surface to eye
-_EACH = 16  # segments up to which every path length is tried
-_SETTLED = 1e-12  # relative remainder at which a sum is truncated
-_MOST = 400  # segments after which a sum that has not converged has no bound
+_EXACT_LENGTHS = 16  # segments up to which every path length is tried
+_REMAINDER = 1e-12  # relative remainder at which a sum is truncated
+_MAX_SEGMENTS = 400  # segments after which a sum that has not converged has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
@@ -60,7 +60,7 @@ def shorter(depth: int) -> list[int]:
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)
-        pieces = max(pieces + 1, pieces * 5 // 4 if pieces >= _EACH else 0)
+        pieces = max(pieces + 1, pieces * 5 // 4 if pieces >= _EXACT_LENGTHS else 0)
     return found
 
 
@@ -167,17 +167,17 @@ class Onward:
         current term."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.transport.norm
-        for k in range(1, min(last, _MOST) + 1):
+        for k in range(1, min(last, _MAX_SEGMENTS) + 1):
             sent = self.transport.once(sent)
             whole = whole + sent
             found[np.array(firsts) <= k] += sent
             if not np.isfinite(sent).all():
                 break
             rest = times(sent.max(0), t / (1 - t) if t < 1 else np.inf)
-            if rest.max() <= _SETTLED * whole.max():
+            if rest.max() <= _REMAINDER * whole.max():
                 return found + rest
         else:
-            if last > _MOST:
+            if last > _MAX_SEGMENTS:
                 return np.full_like(found, np.inf)
         return np.where(np.isfinite(sent), found, np.inf)
 

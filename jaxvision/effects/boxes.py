@@ -22,7 +22,7 @@ from .stages import Draft, Drop, Ends
 
 Box = Mapping[str, tuple[Any, Any]]
 # a pinhole in place of a lens has the values at the working aperture
-_OF_A_LENS = "view.f_number", "view.focal_length"
+_LENS_FIELDS = "view.f_number", "view.focal_length"
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
@@ -131,7 +131,7 @@ def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
     place = re.match(r"surfaces\[(\d+)\]", name)
     if place is not None and draft.unmet and int(place[1]) >= min(draft.unmet):
         return False  # another surface would have its number
-    if name in _OF_A_LENS and type(draft.camera.view) is not type(camera.view):
+    if name in _LENS_FIELDS and type(draft.camera.view) is not type(camera.view):
         return False
     of_scene = value_at(scene, name)
     before = of_scene if of_scene is not None else value_at(camera, name)

@@ -27,7 +27,7 @@ from .cells import Cells
 from .illumination import source_of, times
 from .sums import Sums, geometry_of, lobe_sent, sent, slopes
 
-_NEAREST = 0.9  # largest ratio of half the diagonal to the distance
+_MAX_RATIO = 0.9  # largest ratio of half the diagonal to the distance
 
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
@@ -48,7 +48,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     m2 = (u @ u + v @ v) / 12
     d = _distance(place, sums.cells)
     q = np.where(d > 0, half / np.where(d > 0, d, 1), np.inf)
-    near = q >= _NEAREST
+    near = q >= _MAX_RATIO
     q, some = np.where(near, 0, q), np.where(near | (d <= 0), 1, d)
     area = float(np.linalg.norm(np.cross(u, v)))
     over = _height(place, sums.cells)

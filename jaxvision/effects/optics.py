@@ -27,7 +27,7 @@ from .pixel import INF, clean
 from .sampling import oversampling_row, samples_row, times
 from .stages import Arriving, Draft, Ends, OnSensor, Row
 
-_SHARES = 2e-5  # accuracy of the shares of `airy_kernel`
+_KERNEL_ACCURACY = 2e-5  # accuracy of the shares of `airy_kernel`
 
 
 def optics_stage(
@@ -209,7 +209,7 @@ def diffraction(
             f_number = jnp.ones_like(lens.f_number) if closed else lens.f_number
             working = f_number / (sensor_vergence(lens) * lens.focal_length)
             wide = lens.diffraction.wavelength * working / fine
-            middles.append(middle_pixel_share(np.asarray(wide, float)) - _SHARES)
+            middles.append(middle_pixel_share(np.asarray(wide, float)) - _KERNEL_ACCURACY)
             continue
         middles.append(np.asarray(kernel, float)[kernel.shape[0] // 2, kernel.shape[1] // 2])
     least = np.min(middles, axis=0)

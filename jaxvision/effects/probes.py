@@ -21,10 +21,10 @@ import numpy as np
 from ..scene import Scene, View
 from ..transport import Paths, path_traced
 from .bounces import DIRECT, pieces_row, shorter
-from .stages import QUICKLY, Row
+from .stages import FAST, Row
 
 _SIDE, _PATHS = 16, 64
-_SETTLED = 4  # segments from which the light is assumed to fall by a constant factor
+_FIRST_GEOMETRIC = 4  # segments from which the light is assumed to fall by a constant factor
 ASSUMED = "Each further segment of a path beyond the probed ones reduces its light by one factor."
 
 
@@ -33,7 +33,7 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
     as `bounces.bounce_rows` but with rank "estimate". Free parameters have their largest values.
     The result is empty for direct light (`depth` None), or if `depth` is too small for an estimate.
     """
-    n = min(_SETTLED, (depth or 0) - 2)
+    n = min(_FIRST_GEOMETRIC, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()
     coarse = replace(
@@ -56,7 +56,7 @@ def _traced(scene: Scene, view: View, method: Paths) -> jax.Array:
     return path_traced(jax.random.key(0), scene, view, method=method).radiance
 
 
-_probe = jax.jit(_traced, compiler_options=QUICKLY)
+_probe = jax.jit(_traced, compiler_options=FAST)
 
 
 def tails_of(

@@ -23,12 +23,12 @@ from .motion import moments_of, motion_stage
 from .optics import optics_stage
 from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
-from .stages import QUICKLY, Draft, Ends, Method, Row, unproved
+from .stages import FAST, Draft, Ends, Method, Row, unproved
 
-_MOVED = "surfaces[", "shadows[", "ambient", "view."  # effects of fields that a motion may change
+_MOVABLE = "surfaces[", "shadows[", "ambient", "view."  # effects of fields that a motion may change
 WORTH = 0.03  # share of the work, below which an effect that changes nothing is kept
 _PROBE = 16  # pixels along each side of the picture from which the level is found
-_probe = jax.jit(render, compiler_options=QUICKLY)
+_probe = jax.jit(render, compiler_options=FAST)
 
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
@@ -244,9 +244,9 @@ def prune(
         choice.decide()
         alone = _new_kinds(scene, choice.draft)
         why = "without it, its surface would need a program of its own"
-        bare = any(row.name.startswith(_MOVED) for row in choice.gone)
+        bare = any(row.name.startswith(_MOVABLE) for row in choice.gone)
         if not alone and bare and not _moves_alike(motion, choice, start, scene):
-            alone, why = _MOVED, "the motion changes more than this"
+            alone, why = _MOVABLE, "the motion changes more than this"
         if not alone:
             return choice.result(scene, camera)
         chain = replace(

@@ -38,7 +38,7 @@ from .sums import (
 
 # The share of a picture's computation that an effect takes, as measured by the benchmarks.
 _SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9}
-_OWN = 0.02  # the same for every other effect
+_REST = 0.02  # the same for every other effect
 
 
 def scene_stage(
@@ -164,12 +164,12 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     why = f"{count} of {whole} pairs of receiver and occluder may block"
     if onward.depth is not None:
         why = "path tracing includes shadows; they cannot be dropped separately"
-        return Row(f"shadows[{k}]", amount + np.inf, why, None, saves=_OWN, part_of=f"lights[{k}]")
+        return Row(f"shadows[{k}]", amount + np.inf, why, None, saves=_REST, part_of=f"lights[{k}]")
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, shadowless=draft.shadowless | {k})
 
-    saves = _SAVES["shadows"] if sums.searched else _OWN
+    saves = _SAVES["shadows"] if sums.searched else _REST
     owner = f"lights[{k}]"
     return Row(f"shadows[{k}]", amount, why, drop, saves=saves, part_of=owner, together="shadows")
 
@@ -181,7 +181,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
         small, why = None, "paths meet the lamp, which hides the objects behind it"
     name, lamp = f"lights[{k}].extent", f"lights[{k}]"
     if small is None:
-        return Row(name, _unknown(sums), why, None, saves=_OWN, part_of=lamp)
+        return Row(name, _unknown(sums), why, None, saves=_REST, part_of=lamp)
     change = pictured(sums, amount)
     if np.isinf(change).any():
         why += "; it is visible in a mirror, glass or a material without a bound"
@@ -207,14 +207,14 @@ def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
         why = "a mirror or glass shows the rest of the scene: no bound is known"
-        yield Row(f"{name}.material", _unknown(sums), why, None, saves=_OWN)
+        yield Row(f"{name}.material", _unknown(sums), why, None, saves=_REST)
     if absorbs(material):
         yield absorption(sums, onward, i)
     if surface.low.emission is not None:
         yield emission(sums, onward, i)
     if isinstance(surface.low.shape, TriangleMesh) and surface.low.shape.normals is not None:
         why = "rotates the shading normals of a mesh: no bound is known"
-        yield Row(f"{name}.shape.normals", _unknown(sums), why, None, saves=_OWN)
+        yield Row(f"{name}.shape.normals", _unknown(sums), why, None, saves=_REST)
 
 
 def _largest_sent(
@@ -284,7 +284,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
     ]
     amount = _largest_sent(sums, onward, i, lambda k, _: found[k], others) * (1 - least)
     name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
-    return Row(f"{name}.interface", amount, why, None, saves=_OWN, part_of=f"{name}.specular")
+    return Row(f"{name}.interface", amount, why, None, saves=_REST, part_of=f"{name}.specular")
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
@@ -302,7 +302,7 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     name = f"surfaces[{i}].material"
     if np.isinf(plain).any() or not hasattr(material, "diffuse"):
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
-        return Row(name, amount + np.inf, why, None, saves=_OWN)
+        return Row(name, amount + np.inf, why, None, saves=_REST)
     field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
     name = f"{name}.{field}" if field else name
     return Row(name, amount, why, _make_lambertian(i), saves=_SAVES["lobe"])
@@ -343,7 +343,7 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
         return setting(name, to=mean_of(found))(draft) if is_map(found) else draft
 
     drops = None if place == "normals" else drop
-    return Row(f"{name}.map", amount, why, drops, saves=_OWN)
+    return Row(f"{name}.map", amount, why, drops, saves=_REST)
 
 
 def _is_proportional(material: Ends[Any], field: str) -> bool:
@@ -363,7 +363,7 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
     name = f"surfaces[{i}].emission"
-    return Row(name, amount, "emits light", setting(name), saves=_OWN)
+    return Row(name, amount, "emits light", setting(name), saves=_REST)
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
@@ -387,7 +387,7 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
     else:
         amount, why = np.zeros(sums.own.shape[1]), "absorbs nothing"
     name = f"surfaces[{i}].material.absorption"
-    return Row(name, amount, why, setting(name), saves=_OWN)
+    return Row(name, amount, why, setting(name), saves=_REST)
 
 
 def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
@@ -399,4 +399,4 @@ def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
         own = 0 * own
     amount = pictured(sums, own[sums.cells.surface])
     kind = AmbientLight.__name__ if present else "absent"
-    return Row("ambient", amount, kind, setting("ambient"), saves=_OWN, present=present)
+    return Row("ambient", amount, kind, setting("ambient"), saves=_REST, present=present)

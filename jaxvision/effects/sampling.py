@@ -14,7 +14,7 @@ from .certificate import IRRADIANCE
 from .stages import Ends, Row
 
 _PARTS = ("rim", "distortion", "diffraction")
-_MIDDLE = math.sqrt(0.5)  # distance from a pixel's middle to its corner, pixels
+_HALF_DIAGONAL = math.sqrt(0.5)  # distance from a pixel's middle to its corner, pixels
 _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sqrt 5
 
 
@@ -24,7 +24,7 @@ def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
     of the picture. The blur of the lens must have been dropped before."""
     nothing, why = np.zeros_like(radiance), "a pixel's rays reach its corners"
     needs = frozenset({"view.defocus"} if isinstance(view.high, ThinLens) else ())
-    more = {"unit": IRRADIANCE, "place": _MIDDLE, "saves": 0.5, "needs": needs}
+    more = {"unit": IRRADIANCE, "place": _HALF_DIAGONAL, "saves": 0.5, "needs": needs}
     return Row("samples", nothing, why, setting("samples"), **more)
 
 
@@ -36,7 +36,7 @@ def oversampling_row(
     distance, the cos^4 falloff changes by at most 1.04 times the change of a ray's slope. `opening`
     is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the view that spread light over
     several pixels must have been dropped before."""
-    reach = _MIDDLE * (1 - 1 / oversampling)
+    reach = _HALF_DIAGONAL * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:
         steps = [float(v.pixel_pitch) * float(sensor_vergence(v)) for v in corners(view)]

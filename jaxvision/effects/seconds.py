@@ -29,8 +29,8 @@ from .spectra import with_bands
 from .stages import Draft, Row
 
 _SIDE = 256  # pixels along the longer side of the measured picture
-_TURNS = 5
-_LONGEST = 20.0  # s, the time after which no further round of calls begins
+_ROUNDS = 5
+_MAX_SECONDS = 20.0  # s, the time after which no further round of calls begins
 Advance = Callable[[int, int], Any]
 
 
@@ -159,8 +159,8 @@ def _median_seconds(
     if advance is not None:
         advance(len(runs), len(runs))
     start = time.perf_counter()
-    for turn in range(_TURNS):
-        if turn and time.perf_counter() - start > _LONGEST:
+    for turn in range(_ROUNDS):
+        if turn and time.perf_counter() - start > _MAX_SECONDS:
             break
         for kind, run in runs.items():
             begin = time.perf_counter()

@@ -23,8 +23,8 @@ from .pixel import INF, Bound, Pixel, growth, unbounded
 from .stages import field_functions
 
 # Standard deviations within which a Gaussian gain is assumed; the tails are bounded separately.
-_WIDE = 9.0
-_BEYOND = 2.3e-19  # P(|g| > 9)
+_TAIL = 9.0
+_TAIL_ODDS = 2.3e-19  # P(|g| > 9)
 
 
 def conversion_prnu(pixel: Pixel) -> Bound:
@@ -163,20 +163,20 @@ def _clipped(pixel: Pixel) -> float:
     moment.
     """
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
-    if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
+    if max(conversion, column) * _TAIL >= 1 or not math.isfinite(pixel.bright):
         return INF
-    widest = (1 + _WIDE * conversion) * (1 + _WIDE * column) * pixel.grown
-    noise = pixel.gain * (1 + _WIDE * column) * math.sqrt(_widest(pixel))
+    widest = (1 + _TAIL * conversion) * (1 + _TAIL * column) * pixel.grown
+    noise = pixel.gain * (1 + _TAIL * column) * math.sqrt(_widest(pixel))
     offsets = _offsets(pixel)
     top = 2 ** float(pixel.sensor.low["bits"]) - 1
     low = _gaussian_excess(noise, min(offsets))
     if pixel.charge.counting == "gaussian":
         low = _below(pixel, min(offsets))
-    low += pixel.gain * (1 + _WIDE * conversion) * (1 + _WIDE * column) * _negative(pixel)
+    low += pixel.gain * (1 + _TAIL * conversion) * (1 + _TAIL * column) * _negative(pixel)
     spare = (top - max(offsets)) / (pixel.gain * widest)
     high = _above(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
     second = (pixel.bright + pixel.bright**2) * pixel.grown**2 + _widest(pixel)
-    beyond = pixel.gain * math.sqrt(second * 2 * _BEYOND * 4 * _WIDE**2)
+    beyond = pixel.gain * math.sqrt(second * 2 * _TAIL_ODDS * 4 * _TAIL**2)
     return math.hypot(low, high) + (beyond if max(conversion, column) > 0 else 0.0)
 
 
@@ -229,8 +229,8 @@ def _below(pixel: Pixel, offset: float) -> float:
     where a is the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 +
     (a o - v)^2), or at the brightest M.
     """
-    spare = (1 + _WIDE * pixel.high("conversion_prnu")) * pixel.grown
-    per_electron = pixel.gain * (1 + _WIDE * pixel.high("column_prnu"))
+    spare = (1 + _TAIL * pixel.high("conversion_prnu")) * pixel.grown
+    per_electron = pixel.gain * (1 + _TAIL * pixel.high("column_prnu"))
     noise, o = _widest(pixel), max(offset, 0.0) / per_electron
     worst = spare**2 + math.hypot(spare**2, spare * o - noise)
 
@@ -239,9 +239,9 @@ def _below(pixel: Pixel, offset: float) -> float:
         mean = (u - noise) / spare
         return math.sqrt(u / 2 * math.exp(-((mean + o) ** 2) / (2 * u))) if u > 0 else 0.0
 
-    sensitive = 1 + _WIDE * pixel.high("prnu")
+    sensitive = 1 + _TAIL * pixel.high("prnu")
     most = INF if pixel.hot > 0 else spare * (pixel.light * sensitive + pixel.dark)
-    beyond = math.sqrt(_BEYOND) * rms(INF) if pixel.high("prnu") > 0 else 0.0
+    beyond = math.sqrt(_TAIL_ODDS) * rms(INF) if pixel.high("prnu") > 0 else 0.0
     return max(-offset, 0.0) + per_electron * math.hypot(rms(most), beyond)
 
 

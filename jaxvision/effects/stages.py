@@ -33,7 +33,7 @@ from ..scene import AmbientLight, Camera, Light, Surface
 from .certificate import RADIANCE, Effect
 
 # Without optimisation a small picture compiles in half the time, and still runs in an instant.
-QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
+FAST = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
 
 
 @dataclass(frozen=True)

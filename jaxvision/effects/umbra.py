@@ -42,8 +42,8 @@ from .stages import Ends
 
 _PAIRS = 60_000  # pairs of cells and occluders; in larger scenes whole surfaces are tested
 # relative to its coordinates: a cell at most this far beyond an occluder is in its plane
-_DEEP = 1e-4
-_SEARCHED = 2000  # pairs for which the best separating direction is searched
+_MARGIN = 1e-4
+_SEARCHED_PAIRS = 2000  # pairs for which the best separating direction is searched
 
 
 def shaded(
@@ -112,7 +112,7 @@ def _meets(
     left = np.flatnonzero(meets)
     meets[left] = (low[occluder[left]] - high[cell[left]]).max(1) <= tolerance
     left = np.flatnonzero(meets)
-    if len(left) <= _SEARCHED:
+    if len(left) <= _SEARCHED_PAIRS:
         i, j = cell[left], occluder[left]
         meets[left] = gap(taken(hulls, i), taken(occluders, j), enough=tolerance) <= tolerance
     return meets
@@ -199,14 +199,14 @@ def umbra_flags(
             shadow = _shadow_of(surfaces[j].of("shape"), source)
             if shadow is None:
                 continue
-            deep = _DEEP * (shadow.size + of_body)
+            deep = _MARGIN * (shadow.size + of_body)
             farthest = heights(whole, shadow.normals[:1])[:, 0] - shadow.offsets[0]
             some = (farthest > deep)[cells.surface] & bounded & (cells.surface != j) & ~dark[k]
             there = Cells(*(x[some] for x in cells))
             least = np.maximum(shadow.least(whole)[there.surface], shadow.least(bodies_of(there)))
             size = shadow.size + of_cell[some]
             inside = (least >= -relative * size[:, None]).all(1)
-            beyond = _beyond(there, balls[there.surface], shadow, least[:, 0], _DEEP * size)
+            beyond = _beyond(there, balls[there.surface], shadow, least[:, 0], _MARGIN * size)
             dark[k, some] = inside & beyond
     return dark
 
@@ -223,7 +223,7 @@ def covered(
     size = np.abs(bodies.points).max() + bodies.radii.max()
     found = (_shadow_of(surface.of("shape"), source) for surface in surfaces)
     return any(
-        bool((shadow.least(bodies) > _DEEP * (shadow.size + size)).all())
+        bool((shadow.least(bodies) > _MARGIN * (shadow.size + size)).all())
         for shadow in found
         if shadow is not None
     )
@@ -257,8 +257,8 @@ def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
     size = float(np.abs(rim if len(rim) else origin).max())
     along = np.roll(rim, -1, axis=0) - rim
     if (
-        not np.all(side * above > _DEEP * (size if ends is None else np.abs(ends).max() + size))
-        or (np.linalg.norm(along, axis=1) <= _DEEP * size).any()
+        not np.all(side * above > _MARGIN * (size if ends is None else np.abs(ends).max() + size))
+        or (np.linalg.norm(along, axis=1) <= _MARGIN * size).any()
     ):
         return None
     toward = source.places[0] if ends is None else ends[:, None] - rim

@@ -16,7 +16,7 @@ from pathlib import Path
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PALETTE = 3  # colour type
-_KEPT = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # chunks of a few bytes each
+_CHUNKS = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # chunks of a few bytes each
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
                 # a damaged name may not be text
                 name = kind.decode() if kind.isalpha() else kind.hex()
                 return PngChunks(f"the check sum of its chunk {name} is wrong")
-            if kind in _KEPT:
+            if kind in _CHUNKS:
                 kept.setdefault(kind, content)
             if kind == b"IEND":
                 return _read_chunks(kept)

@@ -21,7 +21,7 @@ _SIZE = re.compile(rb"([+-])([XY]) (\d+) ([+-])([XY]) (\d+)$")
 _BIAS = 128 + 8  # bias of the exponent, for a mantissa below 256
 END_OF_RANGE = 2.0**127  # exponents of values from here on need more than 8 bits
 _LONGEST_HEAD = 1 << 16
-_LARGEST = 1 << 30  # pixels
+_MAX_PIXELS = 1 << 30  # pixels
 
 
 def is_radiance(file: Path) -> bool:
@@ -45,7 +45,7 @@ def read_radiance(file: Path) -> np.ndarray:
     if size is None or size[2] == size[5]:
         raise damaged(file, "its head gives no size")
     first, second = int(size[3]), int(size[6])
-    if not 0 < first * second <= _LARGEST:
+    if not 0 < first * second <= _MAX_PIXELS:
         raise damaged(file, f"its head gives a size of {first} x {second}")
     stored = _scanlines(file, data[end + 1 :], first, second)
     exponent = stored[..., 3].astype(np.int32)

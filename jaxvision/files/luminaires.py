@@ -26,11 +26,11 @@ from ..lights.goniometric import LUMINOUS_EFFICACY, System
 from ._plain_content import check_size, file_at
 
 FOOT = 0.3048  # m
-MOST = 5000  # largest number of vertical or horizontal angles
+MAX_ANGLES = 5000  # largest number of vertical or horizontal angles
 RATIO = 0.05  # allowed deviation from a stated light output ratio, for a coarse grid of angles
-MORE = 1.2  # largest light output over the lamps' lumens, with a ballast's factor
+MAX_OUTPUT = 1.2  # largest light output over the lamps' lumens, with a ballast's factor
 _BRIGHTEST = 1e9  # cd, the largest plausible intensity: a lighthouse has about 1e6
-_SQUARE = math.sqrt(math.pi / 4)
+_SQUARE_SIDE = math.sqrt(math.pi / 4)
 
 
 def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
@@ -100,7 +100,7 @@ class _Numbers:
             self.fail(f"{what} = {value:g}: must be from {low:g} to {high:g}; correct it.")
         return value
 
-    def count(self, what: str, low: int, high: int = MOST) -> int:
+    def count(self, what: str, low: int, high: int = MAX_ANGLES) -> int:
         value = self.one(what, low, high)
         if value != round(value):
             self.fail(f"{what} = {value:g}: must be a whole number; correct it.")
@@ -186,7 +186,7 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
             table = across.T
     if width < 0 and length == 0:  # a circle in LM-63-1995
         length = width
-    round_one = _SQUARE if width < 0 and length < 0 else 1.0
+    round_one = _SQUARE_SIDE if width < 0 and length < 0 else 1.0
     opening = np.array([abs(length) * round_one, abs(width) * round_one, abs(height)])
     name = _keyword(lines[:at], "LUMINAIRE") or _keyword(lines[:at], "LUMCAT")
     total = math.nan if lumens < 0 else lamps * lumens
@@ -275,7 +275,7 @@ def _lamp(
     angles = np.radians(vertical), np.radians(horizontal)
     lamp = Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
     leaves = LUMINOUS_EFFICACY * float(flux(goniometric_light(lamp, [0.0, 0.0, 0.0]))[0])
-    if leaves > MORE * lumens:
+    if leaves > MAX_OUTPUT * lumens:
         warn(
             f"{numbers.path}: {leaves:.4g} lm leave a luminaire whose lamps give {lumens:.4g} lm; "
             "its candela values, their multiplier or the lamps' lumens are wrong."
@@ -339,7 +339,7 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
         horizontal, table = _fill_turn(own, table, mirrors)
     length, width, height = size
     if width == 0:  # round
-        length = width = length * _SQUARE
+        length = width = length * _SQUARE_SIDE
     opening = np.array([width, length, height])
     name = lines[8].strip()
     return _lamp(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name, ratio)

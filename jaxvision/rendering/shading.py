@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool
 
 from .. import brdf
 from ..core._arguments import takes_numbers
-from ..core._loops.bands import FEW, Bands, plus, split_bands
+from ..core._loops.bands import MAX_NUMBERS, Bands, plus, split_bands
 from ..core._loops.fusion import fuse
 from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Direction, Vec, Vector, as_vec
@@ -257,7 +257,7 @@ def _scalarised(material: Material) -> Callable[[], Material]:
     cotangents of scalars are summed over the lights directly, whereas the cotangents of arrays
     would be stored for all lights and then summed."""
     leaves, tree = jax.tree.flatten(material)
-    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
+    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= MAX_NUMBERS]
     numbers = [split_bands(leaves[i].reshape(-1), leaves[i].size) for i in few]
 
     def assembled() -> Material:

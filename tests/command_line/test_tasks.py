@@ -161,7 +161,7 @@ def test_a_client_that_cannot_work_is_a_sentence():
 
 
 def test_a_worker_that_is_lost_at_the_start_is_asked_again(monkeypatch):
-    monkeypatch.setattr(tasks, "LOOK", 0.0)
+    monkeypatch.setattr(tasks, "CHECK_SECONDS", 0.0)
     lost, there = {"tcp://a": ConnectionError("Stream is closed")}, {"tcp://b": ""}
     answers = [lost, lost, there]
     replaced = SimpleNamespace(run=lambda *_, **__: answers.pop(0), cluster=None, nthreads=dict)
@@ -198,7 +198,7 @@ def test_more_workers_than_memory_are_refused_before_they_start():
 
 
 def test_without_any_worker_left_it_does_not_wait_for_ever(monkeypatch):
-    monkeypatch.setattr(tasks, "LOOK", 0.05)
+    monkeypatch.setattr(tasks, "CHECK_SECONDS", 0.05)
     monkeypatch.setattr(tasks, "_LONELY", 0.2)
     made = distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"

@@ -13,7 +13,7 @@ from jaxvision.effects.bodies import Bodies
 from jaxvision.effects.cells import eye_of, visible_flags
 from jaxvision.effects.motion import motion_stage
 from jaxvision.effects.optics import defocus
-from jaxvision.effects.stages import QUICKLY, Ends
+from jaxvision.effects.stages import FAST, Ends
 
 SHAPE, PITCH, FOCAL = (6, 9), 6e-4, 0.05
 POINT = jv.PointLight([0, 0, 2.0], [1.0])
@@ -26,7 +26,7 @@ APERTURES = [
     jv.RectangularAperture(3.0, 0.5),
     jv.RectangularAperture(0.2, 0.4),
 ]
-rendered = jax.jit(jv.render, compiler_options=QUICKLY)
+rendered = jax.jit(jv.render, compiler_options=FAST)
 
 
 def lens(**parts):

@@ -10,7 +10,7 @@ from oracles.random_scenes import random_scene
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects.stages import QUICKLY
+from jaxvision.effects.stages import FAST
 
 GREY = jv.Lambert([0.25])
 FLOOR = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), GREY)
@@ -99,7 +99,7 @@ def differing_at_0(seed, options):
 @pytest.mark.parametrize("seed", range(20, 30))
 def test_tolerance_0_changes_nothing(seed):
     """In programs whose every operation rounds by itself."""
-    assert differing_at_0(seed, QUICKLY) <= 4
+    assert differing_at_0(seed, FAST) <= 4
 
 
 def test_hundreds_of_surfaces_are_inspected_at_once():

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 
 from jaxvision.errors import InputError
 
-from ...inference.diagnostics import OPEN
+from ...inference.diagnostics import OPEN_LOG_SD
 from ...inference.parameters import names
 from ...inference.precision import double_precision
 from ...rig import Rig, load_rig
@@ -94,7 +94,7 @@ def estimates_from_calibration(
     too_fine = float(calibration.chosen.values["read_noise"]) < finest_read_noise(
         calibration.chosen
     )
-    if posterior.covariance[place, place] > OPEN**2 or too_fine:
+    if posterior.covariance[place, place] > OPEN_LOG_SD**2 or too_fine:
         present.remove("read_noise")
     index = [labels.index(name) for name in present]
     mode, covariance = np.asarray(posterior.unconstrained_mode), posterior.covariance

@@ -21,7 +21,7 @@ from scipy.special import ndtri, stdtrit
 from jaxvision import Vec, as_dtype
 
 from ...inference.clustering import curvature_stretch
-from ...inference.diagnostics import OPEN
+from ...inference.diagnostics import OPEN_LOG_SD
 from ...inference.emcee_run import Emcee, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
@@ -234,7 +234,7 @@ def _open_parameters(
                     f"the best fit lies at the {'lower' if below else 'upper'} end of its range, "
                     f"{mean[i]:.3g}"
                 )
-        if parameter.name not in reasons and covariance[i, i] > OPEN**2:
+        if parameter.name not in reasons and covariance[i, i] > OPEN_LOG_SD**2:
             reasons[parameter.name] = (
                 "it changes by more than a factor of e with the incidences that are left out"
             )

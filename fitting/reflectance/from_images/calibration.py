@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from jaxvision.core.side_by_side import side_by_side
 from jaxvision.errors import InputError
 
-from ...inference.diagnostics import OPEN
+from ...inference.diagnostics import OPEN_LOG_SD
 from ...inference.emcee_run import Emcee, Progress
 from ...inference.given import require_kind
 from ...inference.posterior import Posterior
@@ -307,7 +307,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
         np.diagonal(fit.robustness.covariance)
     )
     for name, half_width in zip(present, half_widths, strict=True):
-        if half_width > ndtri(0.975) * OPEN:
+        if half_width > ndtri(0.975) * OPEN_LOG_SD:
             factor = np.exp(min(float(half_width), 30.0))
             why = f"its 95 % interval is from 1/{factor:.2g} to {factor:.2g} times its value"
             reasons.setdefault(name, why)

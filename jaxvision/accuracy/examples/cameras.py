@@ -38,8 +38,8 @@ from .pictures import picture
 
 SIDE = 64  # pixels
 FOCAL_LENGTH = 0.05  # m
-WIDE = 4e-4  # m, pixel pitch for a field of 29 degrees: the balls, whose edges are blurred
-CLOSE = 4e-5  # m, pixel pitch at which the blur covers several pixels
+WIDE_PITCH = 4e-4  # m, pixel pitch for a field of 29 degrees: the balls, whose edges are blurred
+BLUR_PITCH = 4e-5  # m, pixel pitch at which the blur covers several pixels
 _NOISES = {
     "gaussian": GaussianShotNoise,
     "fast": FastPoissonShotNoise,
@@ -72,7 +72,7 @@ def _lens(pitch: float, f_number: float = 1.4, focus_distance: float = 1.8) -> T
 
 
 def _lens_samples() -> Problem:
-    lens, scene = _lens(WIDE), _balls()
+    lens, scene = _lens(WIDE_PITCH), _balls()
     return problem_of(
         "three balls out of focus",
         "lens samples",
@@ -82,7 +82,7 @@ def _lens_samples() -> Problem:
 
 
 def _layers() -> Problem:
-    lens = _lens(CLOSE)
+    lens = _lens(BLUR_PITCH)
     image = jnp.asarray(picture()[:SIDE, :SIDE])
     depth = jnp.asarray(np.linspace(1.0, 3.0, SIDE)[None, :] * np.ones((SIDE, 1)))
     return problem_of(
@@ -94,7 +94,7 @@ def _layers() -> Problem:
 
 
 def _view() -> Pinhole:
-    return Pinhole((0, 0, 0), np.eye(3), FOCAL_LENGTH, WIDE, resolution=(SIDE, SIDE))
+    return Pinhole((0, 0, 0), np.eye(3), FOCAL_LENGTH, WIDE_PITCH, resolution=(SIDE, SIDE))
 
 
 def _moments() -> Problem:

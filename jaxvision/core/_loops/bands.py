@@ -11,7 +11,7 @@ from .._types import Colour, Scalar
 
 Bands = tuple[Scalar, ...]
 
-FEW = 8  # arrays of at most so many numbers are split; for more, the code would only grow
+MAX_NUMBERS = 8  # arrays of at most so many numbers are split; for more, the code would only grow
 
 
 def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
@@ -37,7 +37,7 @@ def plus(a: Bands, b: Bands) -> Bands:
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
     """Apply an elementwise function to spectra band by band; a neutral number stays one."""
     bands = max(spectrum.shape[0] for spectrum in spectra)
-    if bands > FEW:
+    if bands > MAX_NUMBERS:
         return function(*spectra)
     each = zip(*(split_bands(spectrum, bands) for spectrum in spectra), strict=True)
     return jnp.stack([function(*band) for band in each])

@@ -47,7 +47,7 @@ TILE = 16384
 
 # Rays at once on an accelerator. Each operation costs the start of a kernel, some 10 us, also for
 # fewer rays. The paths of so many rays need a gigabyte.
-_OF_KERNEL = 2**20
+_KERNEL_FACTOR = 2**20
 
 # Blocks are multiples of this number of rays, which is several widths of vector code. A remainder
 # would be computed by scalar code, and the last bit of a ray would depend on the division of the
@@ -62,7 +62,7 @@ def _helps() -> bool:
 
 def entries_per_step(of_core: int) -> int:
     """Return the rays or entries of one step of a loop: `of_core`, or 2^20 on an accelerator."""
-    return of_core if on_processor() else max(of_core, _OF_KERNEL)
+    return of_core if on_processor() else max(of_core, _KERNEL_FACTOR)
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:

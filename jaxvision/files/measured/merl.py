@@ -24,7 +24,7 @@ from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import contents_of, representable
 
-_PADDED = 0.02  # share of zeros at the end of a colour, above which it is not a measurement
+_PADDING_SHARE = 0.02  # share of zeros at the end of a colour, above which it is not a measurement
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
@@ -100,7 +100,7 @@ def _name_padding(file: Path, stored: np.ndarray) -> None:
     """Warn if the bins of a colour end in zeros, as in a truncated file that was padded."""
     for colour, values in zip(("red", "green", "blue"), stored.reshape(3, -1), strict=True):
         ends = len(values) - 1 - int(np.max(np.flatnonzero(values), initial=-1))
-        if _PADDED * len(values) < ends < len(values):
+        if _PADDING_SHARE * len(values) < ends < len(values):
             warn(
                 f"{file}: {colour} ends in zeros, {ends / len(values):.0%} of its bins, as in a "
                 "copy that was cut short; copy it again from its source."

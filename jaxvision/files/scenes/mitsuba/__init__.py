@@ -29,7 +29,7 @@ from .materials import material_of
 from .shapes import shape_of
 from .spectra import light_of
 
-_DEEP = 16  # largest number of segments of a path that Mitsuba would not limit
+_DEPTH = 16  # largest number of segments of a path that Mitsuba would not limit
 _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 
@@ -126,10 +126,10 @@ def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
 def _paths(label: str, depth: int, samples: int) -> dict[str, Any]:
     if depth < 0:
         warn(
-            f"{label}: max_depth has no limit; paths end after {_DEEP} segments here. Choose "
+            f"{label}: max_depth has no limit; paths end after {_DEPTH} segments here. Choose "
             "another number by --depth."
         )
-        depth = _DEEP
+        depth = _DEPTH
     return {"integrator": "path", "samples": samples, "depth": max(depth, 1)}
 
 

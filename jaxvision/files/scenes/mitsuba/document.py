@@ -15,7 +15,7 @@ from ..._plain_content import DEEPEST, check_size
 from .transforms import transform_of
 
 _PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
-_DEEPEST = 16  # largest depth of files that include each other
+_MAX_DEPTH = 16  # largest depth of files that include each other
 
 
 @dataclass(frozen=True)
@@ -232,9 +232,9 @@ class _Reader:
                 yield child
                 continue
             self._depth += 1
-            if self._depth > _DEEPEST:
+            if self._depth > _MAX_DEPTH:
                 raise InputError(
-                    f"more than {_DEEPEST} files are included; do they name themselves?"
+                    f"more than {_MAX_DEPTH} files are included; do they name themselves?"
                 )
             name = self._attributes(child).get("filename", "")
             file = self._file.parent / name
