@@ -197,7 +197,7 @@ def brdf(
         return folders.brdf(paths[0], reporter.step, options.draws, **settings)
 
     def calibrate_files(reporter: Reporter) -> folders.Found:
-        check_files([folders.existing(path) for path in paths], of_rigs)
+        check_files([folders.require_path(path) for path in paths], of_rigs)
         from .reflectance.from_files.calibration import calibrate
         from .reflectance.from_files.read import read_measured_brdf
         from .reflectance.from_files.section import materials_section, section

@@ -29,7 +29,7 @@ Draws = Callable[[str, Progress], dict[str, Any]]  # sampler settings for a kind
 Found = tuple["list[Section]", "dict[str, np.ndarray]"]
 
 
-def existing(path: Path) -> Path:
+def require_path(path: Path) -> Path:
     """Return the path, or raise if it does not exist."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; check the name.")
@@ -209,7 +209,7 @@ def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None"
         return read_rig(path, "photon transfer")
     if channel:
         raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
-    existing(path)
+    require_path(path)
     return None
 
 
@@ -538,8 +538,8 @@ def lights(
     Raises:
         InputError: for photographs that cannot be calibrated.
     """
-    of_balls = {existing(mask).resolve() for mask in masks}
-    images = [image for image in images if existing(image).resolve() not in of_balls]
+    of_balls = {require_path(mask).resolve() for mask in masks}
+    images = [image for image in images if require_path(image).resolve() not in of_balls]
     folder = images[0].parent if images else Path()
     if not images or any(image.parent != folder for image in images):
         raise InputError("give the photographs of a ball, all in one folder, besides the mask.")

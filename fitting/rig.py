@@ -154,7 +154,7 @@ class _Known(Entry):
     temperature: Kelvin | None = None
 
     @model_validator(mode="after")
-    def _errors_of_something(self) -> "_Known":
+    def _check_errors(self) -> "_Known":
         for name in ("gamma", "gain", "read_noise"):
             if getattr(self, f"{name}_sd") is not None and getattr(self, name) is None:
                 raise ValueError(f"{name}_sd without {name}; give both, or neither")

@@ -432,11 +432,11 @@ def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Num
     xp, special = numerics(log_shares, counts, chance)
     shares, counts = xp.exp(xp.asarray(log_shares)), xp.asarray(counts)
 
-    def remaining(x: Numbers) -> Numbers:
+    def tail_sum(x: Numbers) -> Numbers:
         return xp.flip(xp.cumsum(xp.flip(x, -1), -1), -1)
 
-    left, tiny = remaining(counts), xp.finfo(shares.dtype).tiny
-    p = xp.clip(shares / xp.maximum(remaining(shares), tiny), 0, 1)
+    left, tiny = tail_sum(counts), xp.finfo(shares.dtype).tiny
+    p = xp.clip(shares / xp.maximum(tail_sum(shares), tiny), 0, 1)
     some, not_all = counts > 0, counts < left
     others = left - counts
     fewer = special.betainc(others + 1, xp.where(some, counts, 1.0), 1 - p)

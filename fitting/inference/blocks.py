@@ -35,11 +35,11 @@ def resume_blocks(
     """
     stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
-    if not _all_of(stored, fingerprint):
+    if not _have_fingerprint(stored, fingerprint):
         raise InputError(
             f"{folder}: holds {other}; delete that folder or choose another output folder."
         )
-    if not _all_of(before, fingerprint):
+    if not _have_fingerprint(before, fingerprint):
         raise InputError(f"The posterior to go on from is {other}; leave it out to start anew.")
     for i in range(len(stored), len(before)):
         store(folder, i, before[i])
@@ -92,7 +92,7 @@ def stack_blocks(blocks: Sequence[Block], name: str) -> np.ndarray:
     return np.concatenate([block[name] for block in blocks])
 
 
-def _all_of(blocks: Sequence[Block], fingerprint: str) -> bool:
+def _have_fingerprint(blocks: Sequence[Block], fingerprint: str) -> bool:
     return all(str(block["fingerprint"]) == fingerprint for block in blocks)
 
 

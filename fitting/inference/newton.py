@@ -104,7 +104,7 @@ def _search(
         return _advanced(state, *local(state.proposal, args), digit=digit)
 
     end = jax.lax.while_loop(
-        lambda state: _goes_on(state, max_steps, tolerance), step, _initial_state(start)
+        lambda state: _is_unfinished(state, max_steps, tolerance), step, _initial_state(start)
     )
     return _solution(end, tolerance)
 
@@ -142,7 +142,7 @@ def minimise_many(
             part = _advanced(part, np.where(known, cost, np.nan), gradient, information, **how)
         for whole, own in zip(jax.tree.leaves(state), jax.tree.leaves(part), strict=True):
             whole[active] = own
-        active = _goes_on(state, max_steps, tolerance) & np.isfinite(state.cost)
+        active = _is_unfinished(state, max_steps, tolerance) & np.isfinite(state.cost)
         if progress is not None:
             progress(int(np.sum(~active)))
     return _solution(state, tolerance)
@@ -166,7 +166,7 @@ def minimise_read(
     return jax.tree.map(lambda x: x[0], found)
 
 
-def _goes_on(state: _State, max_steps: Any, tolerance: Any) -> Any:
+def _is_unfinished(state: _State, max_steps: Any, tolerance: Any) -> Any:
     unfinished = (state.decrement > tolerance) & (state.damping < MAX_DAMPING)
     return unfinished & (state.steps < max_steps)
 

@@ -195,7 +195,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         rows, inputs = piece if isinstance(piece, tuple) else (piece, stream.beside[0])
         rows = np.asarray(plain_numbers("data", rows), dtype)
         beside = inputs, stream.likelihood
-        _check_beside(stream, beside, len(rows) if rows.ndim else 0)
+        _check_inputs(stream, beside, len(rows) if rows.ndim else 0)
         own = (
             with_room(plain_array("inputs", np.asarray(leaf))) for leaf in _chosen(stream, beside)
         )
@@ -210,7 +210,7 @@ def _marked(mark: int, rows: Rows) -> int:
     return mark % 2**64
 
 
-def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
+def _check_inputs(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
     """Refuse inputs from a function that have another form than in its first piece."""
     alike = jax.tree.structure(beside) == jax.tree.structure(stream.beside)
     if alike:

@@ -98,7 +98,7 @@ def _way(
     off = log_u[near] - np.log(u[edge])
     exponent = float(off @ measured[near] / (off @ off))
     wanders = EXPONENT_RMS_DEVIATION[0] + EXPONENT_RMS_DEVIATION[1] * abs(exponent - 1)
-    departure = wanders**2 * _wandering(log_u, np.log(u[edge]))
+    departure = wanders**2 * _deviation(log_u, np.log(u[edge]))
     kinds = [own_kind[:, both] - own_kind[:, [edge]] for own_kind in _family(tuple(u))]
     every = np.concatenate(kinds)
     each = [
@@ -140,7 +140,7 @@ def _mixture(
     return mean, weight @ (np.maximum(variances, 0) + (np.array(means) - mean) ** 2)
 
 
-def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
+def _deviation(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
     """Return the covariance of ln X(u) - ln X(edge) for a local exponent d ln X / d ln u that is an
     Ornstein-Uhlenbeck process in ln u with unit variance."""
     off = (log_u - edge) / CORRELATION_LENGTH
@@ -164,8 +164,8 @@ def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]
         power = g * np.log((np.maximum(u, end) + a) / (1 + a))
         toes.append(power + np.minimum(np.log(u / end), 0))
     logs = [np.log(np.expm1(u * np.log1p(a))) for a in (3, 10, 30, 100, 300, 1000)]
-    saturating = [_saturating(u, n, c) for n in (0.45, 0.6, 0.8, 1.0) for c in (0.15, 0.4, 1.5)]
-    film = [_saturating(u, n, c) for n in (0.9, 1.25, 1.65) for c in (0.05, 0.1, 0.2)]
+    saturating = [_saturation(u, n, c) for n in (0.45, 0.6, 0.8, 1.0) for c in (0.15, 0.4, 1.5)]
+    film = [_saturation(u, n, c) for n in (0.9, 1.25, 1.65) for c in (0.05, 0.1, 0.2)]
     x = np.linspace(0, 1, 4097)[1:]
     tones = [
         g * np.interp(u, (1 - k) * x + k * (3 * x**2 - 2 * x**3), np.log(x))
@@ -175,5 +175,5 @@ def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]
     return [np.array(kind) for kind in (gammas, toes, logs, saturating, film, tones)]
 
 
-def _saturating(u: np.ndarray, n: float, c: float) -> np.ndarray:
+def _saturation(u: np.ndarray, n: float, c: float) -> np.ndarray:
     return np.log(c * u / (1 + c - u)) / n

@@ -300,7 +300,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     for tap in taps:
         row, column = tap.plane.start
         if tap.plane.step == (1, 1):  # one tap reads one part of the frame
-            _put_beside(whole, tap)
+            _insert_map(whole, tap)
             continue
         ahead = (
             (row - reference.plane.start[0]) / down,
@@ -313,7 +313,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     return whole * factor
 
 
-def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
+def _insert_map(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
     """Insert the map of a part of the frame, scaled so that the border has no step."""
     own = part.radiance.radiance
     (row, column), (height, width) = part.plane.start, own.shape

@@ -231,7 +231,7 @@ def settings(
     )
     if any(one.stopped == "interrupted" for one in curves):
         raise KeyboardInterrupt
-    compiling = _compiling(problem, curves)
+    compiling = _compile_seconds(problem, curves)
     gone = 0.0 if pruned is None or tolerance is None else pruned.certificate.total
     wanted = None if tolerance is None else tolerance - gone
     allowed = None if render_seconds is None else render_seconds - compiling
@@ -253,7 +253,7 @@ def settings(
     known = {
         "settings": dict(best.settings),
         "promised": best.error + gone,
-        "predicted_seconds": _compiling(problem, curves, chosen=best.settings) + best.seconds,
+        "predicted_seconds": _compile_seconds(problem, curves, chosen=best.settings) + best.seconds,
         "checked": checked,
         "unknown": list(best.unknown),
         "level": level,
@@ -271,7 +271,7 @@ def _too_little(scene_file: SceneFile, seconds: float) -> TooLittleTime:
     )
 
 
-def _compiling(
+def _compile_seconds(
     problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
     """Return the longest compile time, s, over chosen settings, or all if None."""

@@ -118,20 +118,20 @@ class Session:
         """Return the quantity of a result, or of a mean, that is compared."""
         return self.problem.compared(values) if self.problem.compared else np.asarray(values)
 
-    def _of(self, setting: Any) -> str:
+    def _label(self, setting: Any) -> str:
         return f"{self.problem.name}: the result of {self.knob.name} {setting}"
 
     def _array(self, setting: Any, result: Any) -> np.ndarray:
         try:
             return np.asarray(result)
         except ValueError:
-            raise NotComparable(f"{self._of(setting)} is no array; give real numbers.") from None
+            raise NotComparable(f"{self._label(setting)} is no array; give real numbers.") from None
 
     def _check(self, setting: Any, values: np.ndarray) -> None:
         """Raise `NotComparable` unless the result is an array of real numbers of the same shape as
         the other results, and `InputError` if a number is not finite.
         """
-        of = self._of(setting)
+        of = self._label(setting)
         if values.dtype.kind not in "biuf":
             raise NotComparable(f"{of} is {values.dtype}; give real numbers.")
         if values.size == 0:

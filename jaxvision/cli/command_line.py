@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
-from ..core.interrupts import INTERRUPTED, is_said, say_if_interrupted
+from ..core.interrupts import INTERRUPTED, mark_reported, say_if_interrupted
 from ..errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
 from ..programs import kept_in
 
@@ -262,7 +262,7 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
         where = error.filename or "a file"
         leave(command, f"{where}: {unwritable(error)}.", 2)
     except KeyboardInterrupt as interrupt:
-        is_said()
+        mark_reported()
         leave(command, str(interrupt) or interrupted, INTERRUPTED)
 
 

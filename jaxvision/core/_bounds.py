@@ -62,7 +62,7 @@ def numbers(x: object) -> np.ndarray:
     return np.asarray(x, np.float64)
 
 
-def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the corners, (8 n, 3) in m, of the boxes from `low` to `high`, (n, 3) each. If `low`
     and `high` are equal, return the points `low` themselves."""
     if np.array_equal(low, high):

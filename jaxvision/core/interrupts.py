@@ -33,7 +33,7 @@ class _Ending:
         self.sentence = "interrupted."
         self.unfinished: set[Path] = set()
         self.seen = threading.Event()  # an interrupt has arrived
-        self.said = threading.Event()  # the message has been printed
+        self.reported = threading.Event()  # the message has been printed
         self.raised = threading.Event()  # a context expects the exception
         self.thrown = threading.Event()  # the exception was raised, perhaps in an ended context
         self.handled = threading.Event()  # the command has caught it and will end the process
@@ -49,10 +49,10 @@ def say_if_interrupted(sentence: str) -> None:
     _ending.sentence = sentence
 
 
-def is_said() -> None:
+def mark_reported() -> None:
     """Record that the command itself has reported how it ended, so that no further message is
     printed."""
-    _ending.said.set()
+    _ending.reported.set()
 
 
 def is_handled() -> None:
@@ -161,8 +161,8 @@ def _leave(command: str) -> None:
     """Print the message, remove incomplete files, and end the process without destroying objects
     that threads still use."""
     _ending.leaving.acquire()
-    if not _ending.said.is_set():
-        _ending.said.set()
+    if not _ending.reported.is_set():
+        _ending.reported.set()
         print(f"{command}: {_ending.sentence}", file=sys.stderr)
     for file in tuple(_ending.unfinished):
         file.unlink(missing_ok=True)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core._bounds import SIGNS, Ends, box_about, numbers, once, unit
+from ..core._bounds import SIGNS, Ends, box_corners, numbers, once, unit
 from ..scene import Box, Disc, Plane, Quad, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
 from .boxes import same
@@ -81,18 +81,18 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     shape whose rotation is a free parameter."""
     low, high = shape
     if isinstance(low, Sphere) and isinstance(high, Sphere):
-        points = box_about(numbers(low.centre), numbers(high.centre))
+        points = box_corners(numbers(low.centre), numbers(high.centre))
         return points, np.full(len(points), float(high.radius))
     if isinstance(low, Plane):
         return None
     if not all(same(*(getattr(end, n, None) for end in shape)) for n in ("rotation", "normal")):
         return None
     if isinstance(low, Box | Disc) and isinstance(high, Box | Disc):  # the largest, at each centre
-        middles = box_about(numbers(low.centre), numbers(high.centre))
+        middles = box_corners(numbers(low.centre), numbers(high.centre))
         about = numbers(corners(high)) - numbers(high.centre)
         points = (middles[:, None] + about).reshape(-1, 3)
     else:  # corners are sums of fields, so their extremes are at those of all fields
-        points = box_about(*(numbers(corners(end)) for end in shape))
+        points = box_corners(*(numbers(corners(end)) for end in shape))
     return points, np.zeros(len(points))
 
 
@@ -160,7 +160,7 @@ def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarra
     return bodies, np.array([body is not None for body in found])
 
 
-def balls_about(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+def bounding_balls(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
     """Return the centres, (n, 3) m, and radii, (n,) m, of balls that contain the bodies."""
     middle = (bodies.points.min(1) + bodies.points.max(1)) / 2
     away = np.linalg.norm(bodies.points - middle[:, None], axis=2)

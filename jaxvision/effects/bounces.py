@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..scene import Box, Sphere, TriangleMesh
-from .bodies import Bodies, balls_about, body_of, heights, numbers, plane_of, stacked
+from .bodies import Bodies, body_of, bounding_balls, heights, numbers, plane_of, stacked
 from .boxes import setting
 from .cells import Cells, starts
 from .illumination import times
@@ -132,7 +132,7 @@ class Onward:
         return found
 
     @cached_property
-    def arriving(self) -> np.ndarray:
+    def earlier(self) -> np.ndarray:
         """A bound, (n, bands) W m^-2 sr^-1, on the radiance of each surface by paths of fewer than
         `depth` segments, whose light can reach another surface; 0 for direct light."""
         found = np.zeros_like(self.sums.own)
@@ -147,14 +147,14 @@ class Onward:
         """Bound the mean radiance, (bands,), that the diffuse part of surface i receives from
         others."""
         if self.depth is None:
-            return self.arriving[i]
-        return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
+            return self.earlier[i]
+        return gathered(self.transport.factors[i : i + 1], self.earlier)[0]
 
     def of_lobe(self, i: int) -> np.ndarray:
         """Bound the mean radiance, (bands,), that the lobe of surface i receives from others."""
         if self.depth is None:
-            return self.arriving[i]
-        return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
+            return self.earlier[i]
+        return gathered(self.transport.of_lobes[i : i + 1], self.earlier)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
         """Return the sum of T^k `sent` over k from 1 to `last`, (n, bands)."""
@@ -219,7 +219,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
     cells = sums.cells
     for j, body in enumerate(found):
         if body is not None:
-            middle, (size,) = balls_about(stacked([body]))
+            middle, (size,) = bounding_balls(stacked([body]))
             apart = np.linalg.norm(cells.centre - middle, axis=1) - cells.radius
             d = np.minimum.reduceat(apart, starts(cells))
             factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)

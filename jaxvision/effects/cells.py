@@ -31,8 +31,8 @@ from ..scene import (
 from ..scene.shapes import Shape
 from .bodies import (
     Bodies,
-    balls_about,
     body_of,
+    bounding_balls,
     faces_of,
     heights,
     numbers,
@@ -176,7 +176,7 @@ def _anywhere(shape: Ends[Shape]) -> Parts:
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
-    middle, radius = balls_about(stacked([body]))
+    middle, radius = bounding_balls(stacked([body]))
     return [middle, radius, np.eye(3)[:1], np.array([np.pi])]
 
 
@@ -242,7 +242,7 @@ def _box_cells(shape: Box, side: int) -> Parts:
     return [np.concatenate(parts) for parts in zip(*faces, strict=True)]
 
 
-def has_faces_apart(shape: TriangleMesh) -> bool:
+def has_face_cells(shape: TriangleMesh) -> bool:
     """Return whether each triangle of a mesh is a separate cell."""
     return len(shape.faces) <= _TRIANGLES
 

@@ -54,7 +54,7 @@ class Arrived(NamedTuple):
     facing: np.ndarray  # (c,) the largest sum of e
 
 
-def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
+def light_on(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
     """Bound the light of a source on the cells, at least `least`, (c,) m, away from it."""
     count = len(cells.radius)
     if source.kind == "sky":

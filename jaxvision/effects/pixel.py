@@ -136,13 +136,13 @@ class Pixel:
     def light(self) -> float:
         """The largest number of photoelectrons in any pixel. Smear s increases the photoelectrons m
         of the irradiance to m (1 + s (rows - 1)), and repulsion increases them by the factor
-        `pushing`."""
-        return self._arriving * self.pushing
+        `push_factor`."""
+        return self._electrons * self.push_factor
 
     @cached_property
-    def _arriving(self) -> float:
+    def _electrons(self) -> float:
         light = freed(self.sensor.high, self.irradiance) + self.beside
-        return clean(light) * self.smearing
+        return clean(light) * self.smear_factor
 
     @cached_property
     def beside(self) -> float:
@@ -150,7 +150,7 @@ class Pixel:
         return max(light_offset_electrons(end, self.irradiance) for end in self.sensor)
 
     @cached_property
-    def missing(self) -> float:
+    def deficit(self) -> float:
         """The number of electrons that a light offset removes from a pixel without light."""
         offset = self.sensor.low["light_offset"]
         below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
@@ -166,17 +166,17 @@ class Pixel:
         if effect is None:
             return 0.0
         slopes = sum(kernel_slopes(end["brighter_fatter"].kernel) for end in self.sensor)
-        return clean(2 * slopes * (self._arriving + self.dark + math.sqrt(2) * self.hot))
+        return clean(2 * slopes * (self._electrons + self.dark + math.sqrt(2) * self.hot))
 
     @cached_property
-    def pushing(self) -> float:
+    def push_factor(self) -> float:
         """The largest factor, e^c with c the `repulsion`, by which the brighter-fatter effect
         multiplies a charge q or a change d of the charge. During the exposure, t from 0 to 1, they
         grow at most as q' = 1 + c q and d' = e^(c t) + c d."""
         return math.exp(self.repulsion) if self.repulsion < 700 else INF
 
     @cached_property
-    def smearing(self) -> float:
+    def smear_factor(self) -> float:
         """The factor of smear on the brightest pixel in a column that is equally bright."""
         return 1 + self.high("smear") * (self.shape[0] - 1)
 
@@ -225,7 +225,7 @@ class Pixel:
         """A lower bound on the variance of the brightest charge. The bound is 0 if a full well may
         limit the charge or if charges repel each other, because a full well and repulsion reduce
         the variance."""
-        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.acting
+        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.on_charge
         return self.light + self.dark if sure else 0.0
 
     @property
@@ -239,9 +239,9 @@ class Pixel:
         """The smallest variance of any charge: the number of counted dark electrons, less the
         electrons that charge transfer loses. A full well that clips a charge reduces its rms by at
         most the excess."""
-        if not self.counted or self.acting or self.sensor.high["brighter_fatter"] is not None:
+        if not self.counted or self.on_charge or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
-        dark = max(min(self._darks) - self.missing, 0.0)
+        dark = max(min(self._darks) - self.deficit, 0.0)
         return max(math.sqrt(dark * self.read_share) - self.spilt.rms, 0.0) ** 2
 
     @cached_property
@@ -271,17 +271,17 @@ class Pixel:
         the largest factors of all effects on charge, conversion PRNU c and column PRNU q. The
         brighter-fatter effect of `repulsion` b multiplies the change by at most e^(3 b): a variance
         grows by up to e^(2 b), and the rms by which it is divided shrinks by up to e^-b."""
-        return self.behind_own * self.pushing**3
+        return self.behind_charges * self.push_factor**3
 
     @cached_property
-    def behind_own(self) -> float:
+    def behind_charges(self) -> float:
         """The factor `behind_charge` without the brighter-fatter effect."""
         return self.behind_conversion * self.grown
 
     @cached_property
     def grown(self) -> float:
         """The largest factor by which the effects on charge multiply a charge or a change of it."""
-        return math.prod(own_bound(effect, self.rms)[1] for effect in self.acting)
+        return math.prod(own_bound(effect, self.rms)[1] for effect in self.on_charge)
 
     @cached_property
     def own(self) -> tuple[Ends[Any], ...]:
@@ -290,12 +290,12 @@ class Pixel:
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
 
     @cached_property
-    def acting(self) -> tuple[Ends[Any], ...]:
+    def on_charge(self) -> tuple[Ends[Any], ...]:
         """All effects on charge: user-defined effects, mixing, and the nonlinearity."""
         last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
         return (*self.own, *(ends for ends in last if ends.low is not None))
 
-    def moved_by(self, effect: Ends[Any]) -> float:
+    def change_by(self, effect: Ends[Any]) -> float:
         """Return the largest root mean square change, in electrons, of any pixel by an effect on
         charge. A curve g changes charges of mean m and rms s by at most |g(m) - m| + L s, where L
         is the largest deviation of the slope of g from 1."""

@@ -27,10 +27,10 @@ from .stages import Arriving, Draft, Drop, Ends, Gone, Row
 from .sums import (
     Sums,
     ambient_reflected,
+    direct_radiance,
     emitted,
     geometry_of,
     lobe_sent,
-    looked_at,
     pictured,
     sent,
     sums_of,
@@ -86,7 +86,7 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
     found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
         found = found + onward(sent(sums, k), sent(sums, k, around=True))
-    return np.maximum(pictured(sums, found), looked_at(sums, sums.shown))
+    return np.maximum(pictured(sums, found), direct_radiance(sums, sums.shown))
 
 
 def depths(sums: Sums) -> tuple[float, float]:
@@ -151,7 +151,7 @@ def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
-    behind = looked_at(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
+    behind = direct_radiance(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
     shown = within & sums.mirrored[k]
     return pictured(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
 
@@ -276,7 +276,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
     full: list[Lobe | None] = [None] * len(sums.surfaces)
     least, full[i] = facets
     own = sums if onward.depth is None else sums._replace(eye=anywhere(sums.eye))
-    others = times(_size(full[i]) * sums.k_lobe[i], onward.arriving.max(0))
+    others = times(_size(full[i]) * sums.k_lobe[i], onward.earlier.max(0))
     each = zip(sums.sources, sums.nearest, sums.spectrum, strict=True)
     found = [
         times(geometry_of(own, source, near, full)[1][:, None], times(sums.k_lobe[i], spectrum))

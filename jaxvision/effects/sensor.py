@@ -78,7 +78,7 @@ def sensor_stage(
         for name, kinds, electrons, why, kind in sensor_charge.COUNTING
         if isinstance(sensor.high.shot_noise, kinds)
     ]
-    rows += [_own(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
+    rows += [_user_effect(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
 
     def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
         return _response(pixel(gone), np.asarray(change, float))
@@ -147,11 +147,11 @@ def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gon
     )
 
 
-def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
+def _user_effect(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
     """Return the `Row` of a user-defined effect, with the bound registered for that effect."""
 
     def bound(pixel: Pixel) -> Bound:
-        dn, kind = clean(pixel.behind_own * pixel.moved_by(ends)), type(ends.low).__name__
+        dn, kind = clean(pixel.behind_charges * pixel.change_by(ends)), type(ends.low).__name__
         return Bound(dn, kind if math.isfinite(dn) else f"no bound of {kind} is known")
 
     def drop(draft: Draft) -> Draft:

@@ -51,7 +51,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
     variance changes by m (e^c (e^(2 c) - 1) / (2 c) - 1), and the variance of a fixed pattern by
     the factor e^(2 c) - 1.
     """
-    c, light = pixel.repulsion, pixel.light / pixel.pushing
+    c, light = pixel.repulsion, pixel.light / pixel.push_factor
     if c == 0:
         return Bound(0.0, "no charge repels another")
     if not c < 100:
@@ -63,7 +63,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
     moved = math.hypot(mean, growth(pixel.quiet, noise + pattern)) + 2 * pixel.spilt.rms
     why = f"{c:.3g} of the charge of a pixel with {charge:.4g} e-"
     rank = "estimate" if pixel.hot or pixel.spilt.rms else "bound"
-    return Bound(pixel.read(moved) / pixel.pushing**3, why, rank=rank)
+    return Bound(pixel.read(moved) / pixel.push_factor**3, why, rank=rank)
 
 
 def full_well(pixel: Pixel) -> Bound:
@@ -100,15 +100,15 @@ def charge_transfer(pixel: Pixel) -> Bound:
 
 
 def charge_effects(name: str, pixel: Pixel) -> Bound:
-    """Bound the change of a pixel by mixing or by the nonlinearity (`Pixel.moved_by`)."""
+    """Bound the change of a pixel by mixing or by the nonlinearity (`Pixel.change_by`)."""
     ends = Ends(*(end[name] for end in pixel.sensor))
-    moved = pixel.moved_by(ends)
+    moved = pixel.change_by(ends)
     why = type(ends.low).__name__
     if not math.isfinite(pixel.rms):
         why = "the light is not bounded"
     elif not math.isfinite(moved):
         why = f"no bound of {why} is known"
-    return Bound(pixel.behind_own * moved, why)
+    return Bound(pixel.behind_charges * moved, why)
 
 
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:

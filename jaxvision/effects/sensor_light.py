@@ -23,7 +23,7 @@ exposure_time = unbounded("scales all charge: nothing can be left out")
 
 def light_offset(pixel: Pixel) -> Bound:
     """Bound the effect of an offset of the light by the light that it adds or subtracts."""
-    beside = pixel.beside * pixel.smearing * pixel.pushing
+    beside = pixel.beside * pixel.smear_factor * pixel.push_factor
     return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- besides the light")
 
 
@@ -64,7 +64,7 @@ def smear(pixel: Pixel) -> Bound:
     """Bound the effect of smear s by s (rows - 1) m: the charge that a dark pixel collects in a
     column of otherwise bright pixels of mean charge m."""
     share = pixel.high("smear") * (pixel.shape[0] - 1)
-    gathered = share * pixel.light / pixel.smearing
+    gathered = share * pixel.light / pixel.smear_factor
     why = f"{share:.3g} of the brightest charge, gathered along its column"
     return Bound(pixel.moved(gathered, patterned=True), why)
 

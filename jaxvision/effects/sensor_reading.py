@@ -196,7 +196,7 @@ def _negative(pixel: Pixel) -> float:
     """
     mixing = [end["mixing"] for end in pixel.sensor]
     below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
-    return pixel.grown * (pixel.missing + max(below, default=0.0) * pixel.rms)
+    return pixel.grown * (pixel.deficit + max(below, default=0.0) * pixel.rms)
 
 
 def _above(pixel: Pixel, level: float, noise: float) -> float:

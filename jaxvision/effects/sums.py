@@ -23,7 +23,7 @@ from .angles import cos_seen, lobe_angles
 from .blocking import may_block
 from .bodies import body_of, gap, is_closed, stacked, surface_bodies, taken
 from .cells import Cells, Eye, anywhere, bodies_of, cells_of, starts, visible_flags
-from .illumination import Source, arriving, of_lobes, source_of, times
+from .illumination import Source, light_on, of_lobes, source_of, times
 from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, shaded, umbra_flags
@@ -230,7 +230,7 @@ def _geometry(
     the remaining share, it is the supremum of E times the cosine."""
     grazing = np.array([own.grazing for own in reflections])[cells.surface]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        arrived = arriving(source, cells, nearest[cells.surface])
+        arrived = light_on(source, cells, nearest[cells.surface])
         body = times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
         return body, of_lobes(arrived, source, lobes, cells, eye), arrived.facing
 
@@ -243,7 +243,7 @@ def _mirrored(
     there = Cells(*(x[own] for x in cells))
     for k, source in enumerate(sources):
         if source.kind == "area" and own.any() and not eye.everywhere:
-            to = arriving(source, there, nearest[k, there.surface])
+            to = light_on(source, there, nearest[k, there.surface])
             assert to.wi is not None
             off = lobe_angles(there, eye, to.wi, to.width, to.cos_i).off_mirror
             found[k, own] = (off <= _ROUNDING).any(1)
@@ -314,7 +314,7 @@ def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
     return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
 
 
-def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
+def direct_radiance(sums: Sums, radiance: np.ndarray) -> np.ndarray:
     """Return the largest radiance, (bands,), that a ray may receive directly from lights of the
     given radiances, (l, bands). A light at a finite distance hides the lights behind it, but the
     radiances of skies add."""

@@ -22,8 +22,8 @@ from .blocking import certain, is_convex, reach_of, swept, touching
 from .bodies import (
     DIRECTIONS,
     Bodies,
-    balls_about,
     body_of,
+    bounding_balls,
     disc_polygon,
     faces_of,
     gap,
@@ -36,7 +36,7 @@ from .bodies import (
     taken,
     unit,
 )
-from .cells import Cells, Eye, bodies_of, has_faces_apart, part_of
+from .cells import Cells, Eye, bodies_of, has_face_cells, part_of
 from .illumination import Source
 from .stages import Ends
 
@@ -93,9 +93,9 @@ def _meets(
     best separating plane."""
     cell, occluder = pairs
     tolerance = certain(reach)
-    about, size = balls_about(occluders)
+    about, size = bounding_balls(occluders)
     hulls = swept(source, bodies_of(cells), reach)
-    middle, wide = balls_about(Bodies(hulls.points[:, 1:], hulls.radii[:, 1:]))
+    middle, wide = bounding_balls(Bodies(hulls.points[:, 1:], hulls.radii[:, 1:]))
     apart = np.linalg.norm(
         nearest_on_segment(cells.centre[cell] - about[occluder], middle[cell] - about[occluder]),
         axis=1,
@@ -128,7 +128,7 @@ def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
         if shape is surface.high.shape and is_convex(surface.of("shape")):
             part = part_of(cells, i)
             away = np.sign(((cells.centre[part] - _middle(shape)) * cells.axis[part]).sum(1))
-            clear = not isinstance(shape, TriangleMesh) or has_faces_apart(shape)
+            clear = not isinstance(shape, TriangleMesh) or has_face_cells(shape)
             side[part] = away if clear else 0
     return side
 

@@ -171,9 +171,9 @@ def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
     if "sparse" in accessor or "bufferView" not in accessor:
         raise InputError(f"{label}: sparse accessors are not read; export it without.")
     count = accessor.get("count")
-    kind = _of(_TYPES, accessor.get("componentType"))
+    kind = _value(_TYPES, accessor.get("componentType"))
     whole = width == 1  # indices are integers, points are floating numbers
-    if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
+    if kind is None or _value(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
         wanted = "whole numbers" if whole else f"{width} float numbers"
         raise unlike(label, f"is not of {wanted}")
     view = file.item("bufferViews", accessor["bufferView"])
@@ -203,7 +203,7 @@ def _buffer(file: Gltf, index: Any) -> bytes:
     return file.files[uri]
 
 
-def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
+def _value(table: Mapping[Any, Value], key: Any) -> Value | None:
     """Return the value of a key; None for one that is no text or number, in a damaged file."""
     return table.get(key) if isinstance(key, str | int) else None
 

@@ -124,27 +124,27 @@ def _attributes(file: Path) -> dict[str, Any]:
     return found
 
 
-def _exif_settings(file: Path, said: Mapping[str, Any]) -> ImageSettings:
-    rating = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
+def _exif_settings(file: Path, exif: Mapping[str, Any]) -> ImageSettings:
+    rating = exif.get("Exif:PhotographicSensitivity", exif.get("Exif:ISOSpeedRatings"))
     return ImageSettings(
-        exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
-        iso=_sensitivity(file, rating, lambda name: said.get(f"Exif:{name}")),
-        f_number=_f_number(said.get("FNumber"), said.get("Exif:ApertureValue")),
-        taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
-        camera=_name(said.get("Make"), said.get("Model")),
+        exposure=_seconds(exif.get("ExposureTime"), exif.get("Exif:ShutterSpeedValue")),
+        iso=_sensitivity(file, rating, lambda name: exif.get(f"Exif:{name}")),
+        f_number=_f_number(exif.get("FNumber"), exif.get("Exif:ApertureValue")),
+        taken=_time(exif.get("Exif:DateTimeOriginal") or exif.get("DateTime")),
+        camera=_name(exif.get("Make"), exif.get("Model")),
         pattern=next((page.pattern for page in tiff_pictures(file) if page.pattern), None),
-        bits=_depth(file, said),
+        bits=_depth(file, exif),
     )
 
 
-def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
+def _depth(file: Path, exif: Mapping[str, Any]) -> int | None:
     """Return the bits of the codes of a PNG, TIFF, JPEG or TGA; None for other samples."""
-    whole = said.get(_CODES)
+    whole = exif.get(_CODES)
     if chunks := png_chunks(file, head=True):
         return chunks.bits if whole else None
     page = next((page for page in tiff_pictures(file) if not page.is_copy), None)
     if page is None:
-        return targa_bits(file) if "targa:version" in said else whole
+        return targa_bits(file) if "targa:version" in exif else whole
     if page.first(tiff.PHOTOMETRIC) == tiff.PALETTE:
         colours = np.array(page.values.get(tiff.COLOUR_MAP, (1,)))
         return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
@@ -155,7 +155,7 @@ def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
 def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
-    def said(name: str) -> Any:
+    def exif(name: str) -> Any:
         """Return an EXIF value, which TIFF/EP and DNG may hold in the main directory."""
         return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
 
@@ -186,10 +186,10 @@ def _raw_settings(file: Path) -> ImageSettings:
         levels = tuple(blacks.ravel().tolist())
         saturation = float(raw.white_level)
     return ImageSettings(
-        exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
-        iso=_sensitivity(file, said("ISOSpeedRatings"), said),
-        f_number=_f_number(said("FNumber"), said("ApertureValue")),
-        taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
+        exposure=_seconds(exif("ExposureTime"), exif("ShutterSpeedValue")),
+        iso=_sensitivity(file, exif("ISOSpeedRatings"), exif),
+        f_number=_f_number(exif("FNumber"), exif("ApertureValue")),
+        taken=_time(exif("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
         black_level=levels if len(set(levels)) > 1 else next(iter(levels), None),
         saturation=saturation,
@@ -259,11 +259,11 @@ def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
     the phase at the pixel (XBAYROFF, YBAYROFF) of the upright image. A file with the row order
     BOTTOM-UP starts with the lowest row of the upright image."""
     names = ("BAYERPAT", "COLORTYP")
-    said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
-    known = [word for word in said if _is_bayer(word)]
+    words = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
+    known = [word for word in words if _is_bayer(word)]
     if not known:
-        if said[0] and said[0] not in ("NONE", "MONO"):
-            _warn_of_mosaic(file, said[0])
+        if words[0] and words[0] not in ("NONE", "MONO"):
+            _warn_of_mosaic(file, words[0])
         return None
     right = int(_number(header.get("XBAYROFF", header.get("BAYOFFX"))) or 0)
     down = int(_number(header.get("YBAYROFF", header.get("BAYOFFY"))) or 0)
@@ -285,30 +285,30 @@ def _warn_of_mosaic(file: Path, name: str) -> None:
     warn(f"{file}: its mosaic ({name}) is not used: it is none of RGGB, BGGR, GRBG and GBRG.")
 
 
-def _number(said: Any) -> float | None:
+def _number(value: Any) -> float | None:
     """Convert a value, possibly a fraction, to a finite number; None if that is not possible."""
     try:
-        found = float(said)
+        found = float(value)
     except (TypeError, ValueError, ZeroDivisionError):
         return None
     return found if np.isfinite(found) else None
 
 
-def _positive(said: Any) -> float | None:
-    found = _number(said)
+def _positive(value: Any) -> float | None:
+    found = _number(value)
     return found if found is not None and found > 0 else None
 
 
-def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float | None:
+def _sensitivity(file: Path, rating: Any, exif: Callable[[str], Any]) -> float | None:
     """Return the ISO speed, normally from the 16-bit tag. If this tag is absent or 65535, which
     means at least 65535, return the 32-bit value of the tag that the type of sensitivity names
     (EXIF 2.3, tag 0x8830)."""
     found = _positive(rating)
     if found is not None and found < _HIGHEST_RATING:
         return found
-    kind = _number(said("SensitivityType"))
+    kind = _number(exif("SensitivityType"))
     names = _SENSITIVITIES.get(int(kind or 0), ()) + _SENSITIVITIES[7]
-    further = next((speed for name in names if (speed := _positive(said(name)))), None)
+    further = next((speed for name in names if (speed := _positive(exif(name)))), None)
     if found is not None and further is None:
         warn(
             f"{file}: its head says ISO 65535, which stands for that and more; the sensitivity is "
@@ -333,9 +333,9 @@ def _f_number(stop: Any, aperture: Any) -> float | None:
     return 2 ** (value / 2)
 
 
-def _time(said: Any) -> datetime.datetime | None:
+def _time(value: Any) -> datetime.datetime | None:
     """Parse a date and time in the form of EXIF, 2026:11:23 13:00:00, or of ISO 8601."""
-    text = str(said or "").strip().strip("\0")
+    text = str(value or "").strip().strip("\0")
     try:
         return datetime.datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
     except ValueError:

@@ -403,9 +403,9 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
     stretched.append(np.round(codes * ((2**bits - 1) / (2**source - 1))).astype(pixels.dtype))
     if source < bits and any(np.array_equal(pixels, way) for way in stretched):
         return codes
-    said = ", ".join(map(str, chunks.significant))
+    bits = ", ".join(map(str, chunks.significant))
     warn(
-        f"{file}: its sBIT ({said} significant bits) is not used: the numbers are as stored, of "
+        f"{file}: its sBIT ({bits} significant bits) is not used: the numbers are as stored, of "
         f"{bits} bits."
     )
     return pixels
@@ -449,7 +449,7 @@ def _warn_of_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
     """Warn about metadata that change the meaning of the codes and are not applied."""
-    said = [
+    unused = [
         f"its picture of {x.first(tiff.ROWS)} x {x.first(tiff.COLUMNS)} and "
         f"{x.first(tiff.BITS, 1)} bits in a SubIFD: export it as a file of its own"
         for x in (page.inner if page else ())
@@ -457,34 +457,34 @@ def _warn_of_unused(
     ]
     orientation = spec.get_int_attribute("Orientation", 1)
     if orientation not in (0, 1):
-        said.append(f"its orientation (tag {orientation}): rows and columns are as stored")
+        unused.append(f"its orientation (tag {orientation}): rows and columns are as stored")
     aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
     if not 0.99 < aspect < 1.01:
-        said.append(f"its pixels' aspect of {aspect:g}: they are taken as square")
+        unused.append(f"its pixels' aspect of {aspect:g}: they are taken as square")
     primaries = np.ravel(spec.getattribute("chromaticities") or REC_709)
     if primaries.shape != (8,) or np.abs(primaries - REC_709).max() > 0.01:
-        said.append(f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})")
+        unused.append(f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})")
     if chunks and chunks.frames > 1:
-        said.append(f"its animation of {chunks.frames} frames: the still picture is read")
+        unused.append(f"its animation of {chunks.frames} frames: the still picture is read")
     if chunks:
-        said += chunks.scales
+        unused += chunks.scales
     if kind == "jpeg":
-        said += jpeg_extras(file)
+        unused += jpeg_extras(file)
     if page and page.first(tiff.ALPHA) == tiff.MULTIPLIED:
-        said.append("that its colours are multiplied by alpha (those of most files are not)")
+        unused.append("that its colours are multiplied by alpha (those of most files are not)")
     white = spec.get_float_attribute("whiteLuminance", 0.0)
     if white > 0:
-        said.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
+        unused.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
     if page:
-        said += _gdal_scaling(page)
+        unused += _gdal_scaling(page)
     words = spec.get_string_attribute("ImageDescription")
     calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
     plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
     if words.startswith("ImageJ=") and calibration and [*calibration.items()] != plain:
         settings = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
-        said.append(f"its calibration by ImageJ ({settings}): the codes are as stored")
-    if said:
-        warn(f"{file}: not used: {'; '.join(said)}.")
+        unused.append(f"its calibration by ImageJ ({settings}): the codes are as stored")
+    if unused:
+        warn(f"{file}: not used: {'; '.join(unused)}.")
 
 
 def _gdal_scaling(page: TiffPicture) -> list[str]:
@@ -494,12 +494,12 @@ def _gdal_scaling(page: TiffPicture) -> list[str]:
     )
     plain = {"scale": 1.0, "offset": 0.0}
     roles = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
-    said = []
+    unused = []
     if roles:
-        said.append(f"its {', '.join(dict.fromkeys(roles))} by GDAL: the numbers are as stored")
+        unused.append(f"its {', '.join(dict.fromkeys(roles))} by GDAL: the numbers are as stored")
     if missing := page.text(tiff.GDAL_MISSING).strip():
-        said.append(f"that pixels of {missing} are missing, by GDAL")
-    return said
+        unused.append(f"that pixels of {missing} are missing, by GDAL")
+    return unused
 
 
 def _differs(number: str, plain: float) -> bool:

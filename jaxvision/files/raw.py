@@ -123,18 +123,18 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         pixels = pixels[0]
     if pixels.ndim not in (2, 3):
         raise InputError(f"{file}: its image has {pixels.ndim} axes; give two, or three.")
-    said = []
+    notes = []
     if others:
         verb = "is" if len(others) == 1 else "are"
-        said.append(f"{listed(others)} {verb} not used (the argument part chooses one)")
+        notes.append(f"{listed(others)} {verb} not used (the argument part chooses one)")
     if pixels.ndim == 3:
         planes = len(pixels)
         if planes != 3 or third.upper() != "RGB":
             called = f" ({third})" if third else ""
-            said.append(f"the {planes} planes of its third axis{called} are taken as channels")
+            notes.append(f"the {planes} planes of its third axis{called} are taken as channels")
         pixels = np.moveaxis(pixels, 0, -1)
-    if said:
-        warn(f"{file}: {'; '.join(said)}.")
+    if notes:
+        warn(f"{file}: {'; '.join(notes)}.")
     return pixels
 
 

@@ -196,7 +196,7 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
     keyword arguments of the function that makes the record. If that function takes `**fields`, the
     keys include the fields of `record`. A key that the function does not describe has the
     description of the field."""
-    said = (meanings(record) if record else {}) | meanings(make)
+    docs = (meanings(record) if record else {}) | meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
         spectra = (*getattr(make, "spectra", ()), *getattr(make, "neutral_spectra", ()))
@@ -204,7 +204,7 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
             f.name: Key(
                 Colour if f.name in spectra and hints[f.name] is jax.Array else hints[f.name],
                 f.default if f.default_factory is MISSING else None,
-                said.get(f.name, ""),
+                docs.get(f.name, ""),
             )
             for f in fields(make)
         }
@@ -214,7 +214,7 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
             rest = keys_of(record)
         elif parameter.kind is parameter.KEYWORD_ONLY:
             default = MISSING if parameter.default is parameter.empty else parameter.default
-            own[name] = Key(hints[name], default, said.get(name, ""))
+            own[name] = Key(hints[name], default, docs.get(name, ""))
     return {name: key for name, key in {**rest, **own}.items() if key.hint is not NoneType}
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._bounds import Ends, Source, box_about, numbers, peak
+from ..core._bounds import Ends, Source, box_corners, numbers, peak
 from ..core._loops.bands import map_bands
 from ..core._numerics import dot, or_one, smallest_divisor
 from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields
@@ -70,7 +70,7 @@ def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
     """Return upper bounds on the light of a point lamp, which emits in all directions, or only to
     the side of `normal` if that is given."""
-    points = box_about(numbers(light.low.position), numbers(light.high.position))
+    points = box_corners(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()
     body, own = (points, np.zeros(len(points))), np.array([1.0])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._bounds import Ends, Source, box_about, numbers, peak, unit
+from ..core._bounds import Ends, Source, box_corners, numbers, peak, unit
 from ..core._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
 from ..core._shown import Shown
 from ..core._types import Scalar, as_float, check_fields
@@ -210,13 +210,13 @@ def _window_bound(light: Ends[Any], windows: Ends[Any]) -> Source:
         )
         for end in windows
     ]
-    points = box_about(np.minimum(*ends), np.maximum(*ends))
+    points = box_corners(np.minimum(*ends), np.maximum(*ends))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()
     area = max(
         np.linalg.norm(a) * np.linalg.norm(b)
-        for a in box_about(numbers(low.edge_u), numbers(high.edge_u))
-        for b in box_about(numbers(low.edge_v), numbers(high.edge_v))
+        for a in box_corners(numbers(low.edge_u), numbers(high.edge_u))
+        for b in box_corners(numbers(low.edge_v), numbers(high.edge_v))
     )
     own, body = np.array([1.0]), (points, np.zeros(len(points)))
     return Source(spectrum, middle[None], own * size, own * area, None, body, "area")

@@ -121,7 +121,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     content = _content(file)
     entry = checked(file, content, SceneEntry, "scene")
     folder = Folder(file)
-    with _naming(file, ""):
+    with _named_messages(file, ""):
         bands = bands_of(entry.bands, entry.wavelengths)
     lit, painted = (
         reading_of(str(file), bands, folder, quantity) for quantity in ("light", "reflectance")
@@ -129,12 +129,12 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     black = {"family": "lambert", "albedo": 0.0}
     materials: dict[str | None, Material] = {None: material_of(painted, "", black)}
     for name, made_of in entry.material.items():
-        with _naming(file, f"material.{name}"):
+        with _named_messages(file, f"material.{name}"):
             materials[name] = material_of(painted, f"material.{name}", made_of)
     names = _names("surface", entry.surface)
     surfaces = []
     for name, surface in zip(names, entry.surface, strict=True):
-        with _naming(file, name):
+        with _named_messages(file, name):
             shape, more = surface_of(
                 lit,
                 name,
@@ -149,14 +149,14 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
             surfaces.append(Surface(shape, materials[made_of], **more))
     lights, light_names = [], _names("light", entry.light)
     for name, light in zip(light_names, entry.light, strict=True):
-        with _naming(file, name):
+        with _named_messages(file, name):
             lights.append(light_of(lit, name, light))
-    with _naming(file, "camera"):
+    with _named_messages(file, "camera"):
         view = view_of(lit, "camera", entry.camera)
     ambient = None
     if entry.ambient is not None:
         ambient = record_of(lit, "ambient", AmbientLight, entry.ambient)
-    with _naming(file, ""):
+    with _named_messages(file, ""):
         occluders = None if entry.render.shadows else ()
         scene = Scene(surfaces, lights, ambient, occluders=occluders)
     for problem in scene_problems(scene, view, names, light_names):
@@ -190,7 +190,7 @@ def _content(file: Path) -> dict[str, Any]:
         return read_toml(file, "scene")
     from . import gltf, mitsuba
 
-    with _naming(file, ""):
+    with _named_messages(file, ""):
         return (mitsuba if suffix == ".xml" else gltf).scene_of(file)
 
 
@@ -237,7 +237,7 @@ def _check_rounding(
 
 
 @contextmanager
-def _naming(file: Path, name: str) -> Iterator[None]:
+def _named_messages(file: Path, name: str) -> Iterator[None]:
     """Add the file and the object to the messages of errors and warnings in a `with` block."""
     where = f"{file}: {name}: " if name else f"{file}: "
     try:
