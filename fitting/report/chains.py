@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxvision.files.images import replaced_on_success
 from jaxvision.plots import trace
+from jaxvision.plots.estimates import REGIONS
 
 from ..inference.formatting import format_axis
 from ..inference.parameters import Parameter, names, scalars
@@ -52,36 +53,24 @@ def corner_figure(
     )
     beyond = LONGEST_TAIL * (high - low)
     ends = np.stack([np.maximum(lowest, low - beyond), np.minimum(highest, high + beyond)], axis=1)
-    beside = np.where(
-        ends[:, :1] < ends[:, 1:], 0, np.abs(ends) + 1e-9
-    )  # where all draws are equal
-    ends += beside * (-1, 1)
+    equal = ends[:, :1] == ends[:, 1:]
+    ends += np.where(equal, np.abs(ends) + 1e-9, 0) * (-1, 1)
     size = 1.35 + 1.4 * len(space)
     figure = Figure(figsize=(size, size))
     for channel, samples in draws.items():
         colour = OF_CHANNEL.get(channel, BLUE)
         corner.corner(
             samples,
-            labels=[
-                _label(p, in_percent=of_median)
-                for p, of_median in zip(space, relative.tolist(), strict=True)
-            ],
+            labels=[_label(p, in_percent=one) for p, one in zip(space, relative, strict=True)],
             range=[tuple(pair) for pair in ends],
             color=colour,
-            levels=(0.68, 0.95),
-            smooth=1.0,
-            smooth1d=1.0,
-            bins=30,
-            plot_datapoints=False,
-            plot_density=False,
-            no_fill_contours=True,
             truths=truths[channel],
             truth_color=colour if len(posteriors) > 1 else RED,
             weights=np.full(len(samples), 1 / len(samples)),
             label_kwargs={"fontsize": 10},
-            max_n_ticks=3,
             labelpad=0.26,
             fig=figure,
+            **REGIONS,
         )
     for own in figure.axes[:: len(space) + 1]:  # diagonal: fit the highest channel
         curves = [np.asarray(line.get_ydata(), float) for line in own.lines]

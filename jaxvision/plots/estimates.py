@@ -28,6 +28,16 @@ if TYPE_CHECKING:
 
 INCH = 1.7  # inch per parameter of a corner plot
 MARGIN = 0.9  # inch, for the numbers and names of a corner plot
+REGIONS: dict[str, Any] = {  # how the package corner draws them
+    "levels": (0.68, 0.95),
+    "bins": 30,
+    "smooth": 1.0,
+    "smooth1d": 1.0,
+    "plot_datapoints": False,
+    "plot_density": False,
+    "no_fill_contours": True,
+    "max_n_ticks": 3,
+}
 SEVERAL = (BLUE, RED, GREEN, PURPLE, OCHRE, GREY, PINK, TEAL)
 MARKS = "osD^vX*P"
 MOST_PATHS = 8  # of chains in a row
@@ -260,15 +270,8 @@ def corner(
         truths=values if len(values) > 1 else None,  # drawn on an array of axes
         truth_color=RED,
         color=BLUE,
-        levels=(0.68, 0.95),
-        bins=30,
-        smooth=1.0,
-        smooth1d=1.0,
-        plot_datapoints=False,
-        plot_density=False,
-        no_fill_contours=True,
-        max_n_ticks=3,
         fig=figure,
+        **REGIONS,
     )
     if len(values) == 1 and values[0] is not None:
         figure.axes[0].axvline(values[0], color=RED)
