@@ -54,6 +54,12 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"the nearest is {match[0]!r}" if match else f"use one of {', '.join(words)}"
 
 
+def shorten(x: object) -> str:
+    """Format a value on one line of at most some 80 characters, for an error message."""
+    words = " ".join(repr(x).split())
+    return words if len(words) <= 80 else f"{words[:80]} ..."
+
+
 def check_utf8(path: str | Path) -> None:
     """Raise `InputError` for a path whose bytes are not UTF-8, which image and report libraries
     need.

@@ -18,11 +18,12 @@ from jaxtyping import Array, Float
 
 from .core._arguments import takes_numbers, warn_caller
 from .core._shown import Shown
-from .core._types import Image, Key, Scalar, check_given, is_known, print_by_name, shorten
+from .core._types import Image, Key, Scalar, check_given, is_known, print_by_name
 from .core.in_notebooks import picture_html, preview_png
 from .development import develop
 from .effects import Certificate, Pruned, Tolerance, prune
 from .effects.pruning import WORTH, looking_pays
+from .errors import shorten
 from .lights import Quadrature, Rule
 from .optics import sensor_irradiance
 from .programs import on_processor

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
-from ..errors import InputError
+from ..errors import InputError, shorten
 from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
@@ -121,12 +121,6 @@ def as_float(x: Any) -> Array:
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(f"{_field()}real numbers are wanted, got {shorten(x)}.")
     return array.astype(jnp.result_type(float))
-
-
-def shorten(x: Any) -> str:
-    """Format a value on one line of at most some 80 characters, for an error message."""
-    words = " ".join(repr(x).split())
-    return words if len(words) <= 80 else f"{words[:80]} ..."
 
 
 _ANY = "an argument"

@@ -13,8 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..core._types import shorten
-from ..errors import InputError, nearest, plain_text
+from ..errors import InputError, nearest, plain_text, shorten
 from ._plain_content import DEEPEST, check_content, check_size, file_at
 
 # A number and its unit, as in `exposure = 0.5 ms`.
