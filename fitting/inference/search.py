@@ -205,14 +205,14 @@ def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> An
 
 def given_start(problem: Problem) -> Float[Array, " parameters"]:
     """Return each parameter's own start, unconstrained; NaN where it has none."""
-    natural = [
+    natural: list[Any] = [
         np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
     ]
     if problem.start is not None:
         found = start_of_data(problem)
         for i, (p, own) in enumerate(zip(problem.free, natural, strict=True)):
-            known = found.get(p.name, own)
+            known: Any = found.get(p.name, own)
             if jnp.shape(known) != own.shape:
                 raise InputError(
                     f"start: {p.name} has the shape {own.shape}, its start {jnp.shape(known)}."

@@ -248,12 +248,12 @@ class LevelSums:
         temporal = variance_of("pixels") / excess
         wandering = float(np.var(self._shifts, ddof=1))
         of_lines = variance_of("rows"), variance_of("columns")
-        lines = [float(np.nanmean(own)) for own in of_lines]
-        parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
+        rows, columns = (float(np.nanmean(own)) for own in of_lines)
+        parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
         bands = self._of_bands(average, parts, of_lines)
         if not np.isscalar(bands):
             temporal = temporal - bands
-            parts = temporal_variance(live, live.mean(temporal), *lines, wandering)
+            parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
         variance = parts.pixel_variance
         # The mean of a frame includes the noise of its own pixels, which was subtracted with it.
         lost = wandering - parts.frames

@@ -161,23 +161,24 @@ def quantised_moments(
     phase = u * (offset - window.centre) + electrons * jnp.sin(u * gain)
     size = jnp.exp(log_size)
     real, imaginary = size * jnp.cos(phase), size * jnp.sin(phase)
-    if window.nodes is None:
+    nodes = window.nodes
+    if nodes is None:
         first, variance, skew, tail = _cumulants(window.cosine @ real - window.sine @ imaginary)
         return Moments(window.centre + first, variance, skew, tail)
     square = window.known_spread + (0.0 if spread is None else spread**2)
     width = jnp.sqrt(jnp.minimum(square, window.widest**2))
-    share = jnp.exp(-(window.nodes**2) / 2)
+    share = jnp.exp(-(nodes**2) / 2)
     share = share / jnp.sum(share)
     weights = jax.lax.complex(window.cosine, window.sine)
     summands = weights * jax.lax.complex(real, imaginary)[None]
-    turn = u[1] * width * (window.nodes[1] - window.nodes[0])
-    sums = jax.vmap(lambda own: _sums_at_nodes(own, turn, len(window.nodes)))(summands)
+    turn = u[1] * width * (nodes[1] - nodes[0])
+    sums = jax.vmap(lambda own: _sums_at_nodes(own, turn, len(nodes)))(summands)
     each = _cumulants(sums.real)  # (nodes,) each
     first, variance, skew, tail = (moment @ share for moment in each)
     away = each[0] - first
     narrow = away**2 @ share
     rest = jnp.stack([away, each[1] - variance, away**2 - narrow])
-    linear, quadratic = window.nodes, (window.nodes**2 - 1) / jnp.sqrt(2.0)
+    linear, quadratic = nodes, (nodes**2 - 1) / jnp.sqrt(2.0)
     explained = rest @ jnp.stack([linear * share, quadratic * share], axis=1)
     die = (rest * share[None]) @ rest.T
     spatial = narrow + jnp.maximum(square - width**2, 0)

@@ -692,7 +692,7 @@ def _near(
             f"{surface.shape}."
         )
     surface = surface.reshape(-1, 3)
-    known = np.isfinite(surface).all(axis=1)
+    known = np.asarray(np.isfinite(surface).all(axis=1))
     if not known.any():
         raise InputError("points are not finite in any pixel; give the position of the surface.")
     toward = places[:, None] - np.where(known[:, None], surface, surface[known].mean(axis=0))

@@ -403,9 +403,9 @@ def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -
     stretched.append(np.round(codes * ((2**bits - 1) / (2**source - 1))).astype(pixels.dtype))
     if source < bits and any(np.array_equal(pixels, way) for way in stretched):
         return codes
-    bits = ", ".join(map(str, chunks.significant))
+    stated = ", ".join(map(str, chunks.significant))
     warn(
-        f"{file}: its sBIT ({bits} significant bits) is not used: the numbers are as stored, of "
+        f"{file}: its sBIT ({stated} significant bits) is not used: the numbers are as stored, of "
         f"{bits} bits."
     )
     return pixels

@@ -24,6 +24,7 @@ from scipy.special import chdtr, chdtrc
 
 from jaxvision import Sensor
 from jaxvision.errors import InputError
+from jaxvision.sensor import dark_rate
 
 from ..levels import PhotonTransfer
 from .moments import (
@@ -254,7 +255,7 @@ def _expected(
     over_light[:2] = step * by_light, step**2 * slope * by_light
     values = _file_numbers(values, step, origin)
     rounding = 0.0 if sensor.bits is None else step**2 / 12
-    current = 0.0 if sensor.dark_current is None else float(sensor.dark_current)
+    current = 0.0 if sensor.dark_current is None else float(dark_rate(sensor.dark_current))
     found = Expected(
         *(values, over_light, electrons, step * slope),
         *(rows, columns, frames, rounding, current),

@@ -17,6 +17,7 @@ from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_camera, read_sensor, write_sensor
 from jaxvision.files.records import count_draws
 from jaxvision.files.toml import read_toml
+from jaxvision.sensor import dark_rate
 
 from ...inference.given import require_kind
 from ...inference.parameters import names
@@ -224,7 +225,7 @@ def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
     longest = int(np.argmax(np.asarray(dark.exposure)))
     time, mean = float(dark.exposure[longest]), float(dark.mean[longest])
     noise = float(np.sqrt(dark.variance[longest]))
-    current = 0.0 if camera.dark_current is None else float(camera.dark_current)
+    current = 0.0 if camera.dark_current is None else float(dark_rate(camera.dark_current))
     seen, stated = mean - black, step * gain * current * time
     near = CLEAR * max(noise, step)
     if mean - converter.origin < near < black - converter.origin and noise > 0:
