@@ -165,3 +165,13 @@ def test_frames_that_are_left_out_are_said():
     flats[3][1] = flats[6][1]
     told = findings(predicted(flats, darks))
     assert any(one.startswith("flats[3][1] was left out") for one in told)
+
+
+def test_a_dark_current_of_temperature_is_that_of_its_temperature():
+    """At the reference temperature, Arrhenius' law gives the rate itself."""
+    law = jv.ArrheniusDarkCurrent(CURRENT, 300.0, 300.0, 0.6)
+    frames = series(11)
+    plain, warm = (
+        predicted(*frames, sensor=s) for s in (SENSOR, replace(SENSOR, dark_current=law))
+    )
+    assert findings(warm) == findings(plain)
