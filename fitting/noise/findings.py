@@ -511,7 +511,9 @@ def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _bounds_alone(calibration: NoiseCalibration) -> bool:
-    """Whether both linearity errors are insignificant."""
+    """Whether both linearity errors are insignificant, and no curved response was found."""
+    if calibration.likelihood is not None and _has("compression", calibration):
+        return False
     values, errors = calibration.standard.values, calibration.standard.errors
     names = ("linearity_error_min", "linearity_error_max")
     return all(
