@@ -169,18 +169,18 @@ def page(rows: list[Row], found: list[dict]) -> str:
     return f"""# Speed compared with other programs
 
 This table compares the speed of jaxvision with programs that do the same job. The peer
-is Mitsuba 3 (`llvm_ad_rgb`) for rendering, OpenCV or NumPy for pictures, and pymatting
-for mattes.
+is Mitsuba 3 (`llvm_ad_rgb`) for rendering, OpenCV or NumPy for pictures, pymatting for
+mattes, and SciPy for fits.
 
 - **How it was measured.** Calls of jaxvision and of the peer alternate in one process,
   and times are medians. Compilation is not included, except in the rows about new
   processes. All programs compute in float32, and the benchmarks also compare the results.
   Both programs keep freed memory for reuse (`jaxvision.keep_memory`).
 - **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
-  ratios, not the milliseconds, because both programs shared the machine with other
-  work. Rows with "equal error" compare time multiplied by squared error.
-- **Not covered**: GPUs ([decisions](decisions.md) has some), the first compilation of
-  single functions, and jobs without a peer, such as fits.
+  ratios, not the milliseconds, which depend on the machine. Rows with "equal error"
+  compare time multiplied by squared error. Rows without a peer give the time alone.
+- **Not covered**: GPUs ([decisions](decisions.md) has some), and the first compilation of
+  single functions.
 
 {lines}
 

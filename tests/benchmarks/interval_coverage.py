@@ -1,6 +1,6 @@
 """Rows of docs/coverage.md for edges, sensitivities, mattes and normals under near lights.
 
-    python tests/benchmarks/coverage.py {edges,sensitivities,mattes,near} [--count N]
+    python tests/benchmarks/interval_coverage.py {edges,sensitivities,mattes,near} [--count N]
 
 Each table takes less than ten minutes of one core. The true values are those of the simulators in
 the tests.
