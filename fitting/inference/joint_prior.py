@@ -274,12 +274,24 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
     if len({len(column) for column in columns}) > 1:
         raise InputError("as_prior: some numbers have more draws than others; give as many of all.")
     vectors = np.stack(columns, axis=-1)
-    _refuse_odd_draws(tuple(space), vectors, len(vectors))
     centre, spread = vectors.mean(axis=0), np.cov(vectors.T).reshape(len(space), -1)
+    _refuse_dependent(tuple(renamed.values()), spread)
+    _refuse_odd_draws(tuple(space), vectors, len(vectors))
     shapes = tuple(every[name].shape[1:] for name in renamed)
     return _prior(
         *(tuple(renamed.values()), shapes, tuple(space), (centre, spread, None)), required, ()
     )
+
+
+def _refuse_dependent(named: tuple[str, ...], spread: np.ndarray) -> None:
+    """Refuse numbers whose correlation matrix is singular to rounding."""
+    deviation = np.sqrt(np.diagonal(spread))
+    correlation = spread / np.outer(deviation, deviation)
+    if not np.linalg.eigvalsh(correlation)[0] > 1e-12:
+        raise InputError(
+            f"as_prior: {listed(list(named))} determine each other, so that their joint density "
+            "has no width; name fewer of them, or give more draws."
+        )
 
 
 def _prior(
@@ -291,6 +303,7 @@ def _prior(
     words: tuple[str, ...],
 ) -> JointPrior:
     centre, spread, freedom = density
+    _refuse_dependent(named, spread)
     freedom = np.full(len(space), np.inf) if freedom is None else freedom
     deviation = np.sqrt(np.diagonal(spread))
     marginals = []
@@ -299,11 +312,6 @@ def _prior(
         scale = Parameter(transform=parameter.transform, lower=lower, upper=upper)
         marginals.append(Marginal(float(m), float(sd), float(nu), scale))
     correlation = spread / np.outer(deviation, deviation)
-    if not np.linalg.eigvalsh(correlation)[0] > 1e-12:
-        raise InputError(
-            f"as_prior: {listed(list(named))} determine each other, so that their joint density "
-            "has no width; name fewer of them, or give more draws."
-        )
     own = tuple(marginals)
     return JointPrior(named, shapes, own, correlation, required=required, words=words)
 
