@@ -47,7 +47,7 @@ def curve(
     metrics: Sequence[str] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> Curve:
-    """Measure the error and the time of a problem at each value of a knob.
+    """Measure the error and the time of a problem at each value of one setting.
 
     First the problem is run twice at each value, the cheapest value first. Then the reference is
     computed. Finally, runs with further seeds alternate between the values, so that a drift of the

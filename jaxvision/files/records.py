@@ -292,7 +292,7 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """Make the record of a field, of the only possible type or that of the key `kind`."""
+    """Make the record of a field. The key `kind` names its type if several are possible."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         what = "no table" if {bool, str} & {*hints} else "a number, not a table"

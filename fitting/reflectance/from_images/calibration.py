@@ -30,10 +30,8 @@ from .signal import Form, parameter_space
 
 FEWEST_SAMPLES = 50
 FEWEST_IN_HIGHLIGHT = 6.0  # samples that determine size, height and width of a highlight
-CURVED, ENCODING = (
-    0.01,
-    1.4,
-)  # relative error of linear models, and least exponent, of encoded files
+LINEAR_ERROR = 0.01  # relative rms error below which a model of linear files describes them
+LEAST_EXPONENT = 1.4  # of encoded files
 ENCODED = (
     "The files are taken as encoded, with an exponent that is fitted, although the rig states no "
     "gamma: no model of linear files describes them half as well. State camera.gamma where it is "
@@ -241,11 +239,11 @@ def encoded_fit(
     least = np.inf
     for fit in linear:
         least = min(least, relative_rms(fit.by_light) or 0.0)
-        if least < CURVED:
+        if least < LINEAR_ERROR:
             return None
     trial = fit_channel(view, replace(form, free_gamma=True), cells)
     closer = (relative_rms(trial.by_light) or 0.0) < least / 2
-    return trial if trial.converged and closer and trial.natural[-1] > ENCODING else None
+    return trial if trial.converged and closer and trial.natural[-1] > LEAST_EXPONENT else None
 
 
 def _without_curved(found: ReflectanceCalibration) -> ReflectanceCalibration:

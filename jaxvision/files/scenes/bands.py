@@ -272,7 +272,8 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Compute linear sRGB, (wavelengths, 3), of what is 1 at one wavelength, in m, alone."""
+    """Compute linear sRGB, (wavelengths, 3), for spectra that are 1 at one wavelength, m, and 0 at
+    all others."""
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":
