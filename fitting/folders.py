@@ -543,10 +543,13 @@ def lights(
     folder = images[0].parent if images else Path()
     if not images or any(image.parent != folder for image in images):
         raise InputError("give the photographs of a ball, all in one folder, besides the mask.")
+    from .frame_checks.heads import different_settings
     from .lights import calibrate
     from .lights.section import section
     from .observation import read_frame, read_mask
-    from .rig import Camera
+    from .rig import Camera, require_one_file_each
+
+    require_one_file_each("the photographs", [image.name for image in images])
 
     camera = Camera(**known)
     with step("reading images"):
@@ -562,4 +565,11 @@ def lights(
         )
     root = os.path.relpath(folder, out or Path()).replace(os.sep, "/")
     lines = "\n".join(f"{name} = {value}" for name, value in known.items())
-    return [section(found, root=root, camera=lines)], {}
+    said = section(found, root=root, camera=lines)
+    if settings := different_settings(images):
+        sentence = (
+            f"By their metadata, the images differ in settings ({settings}); the intensities of "
+            "lights include this."
+        )
+        said = replace(said, findings=(*said.findings, sentence))
+    return [said], {}

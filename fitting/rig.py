@@ -9,6 +9,7 @@ import datetime
 import math
 import os
 from collections import Counter
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -629,17 +630,33 @@ class Rig(Entry):
     def _each_file_once(self) -> "Rig":
         entries = {"flat": (*self.flat, *self.dark), "exposure": self.exposure, "light": self.light}
         for kind, listed in entries.items():
-            names = Counter(name for entry in listed for name in _images(entry))
-            if twice := [name for name, count in names.items() if count > 1]:
-                which = "[[flat]] and [[dark]]" if kind == "flat" else f"[[{kind}]]"
-                raise ValueError(
-                    f"{', '.join(twice[:3])} stands more than once in {which}; list each file once"
-                )
+            which = "[[flat]] and [[dark]]" if kind == "flat" else f"[[{kind}]]"
+            try:
+                require_one_file_each(which, [name for entry in listed for name in _images(entry)])
+            except InputError as error:  # pydantic adds the point
+                raise ValueError(str(error).removesuffix(".")) from None
         return self
 
     def path(self, name: str) -> Path:
         """Return the path of a file that the rig names."""
         return self.folder / os.path.expandvars(self.root) / name
+
+
+def require_one_file_each(where: str, names: Sequence[str]) -> None:
+    """Refuse a file that stands twice, and files of one name in two formats."""
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise InputError(
+            f"{', '.join(twice[:3])} stands more than once in {where}; list each file once."
+        )
+    formats = {name: Path(name).suffix for name in names}
+    stems = {n: n.removesuffix(end) if end[1:2].isalpha() else n for n, end in formats.items()}
+    counts = Counter(stems.values())
+    if alike := [name for name in names if counts[stems[name]] > 1]:
+        same = [name for name in alike if stems[name] == stems[alike[0]]]
+        raise InputError(
+            f"{' and '.join(same)} in {where} are files of one name, as of one photograph in two "
+            "formats; list the one with the camera's own numbers."
+        )
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:

@@ -50,6 +50,7 @@ _TYPES = {
     "flat": re.compile("flat", re.IGNORECASE),
     "photograph": re.compile("light|object|science", re.IGNORECASE),
 }
+_THUMBNAIL = re.compile(r"(?<![a-z])(thumb(nail)?s?|preview)(?![a-z])", re.IGNORECASE)
 _NORMALS, _MASK = (re.compile(word, re.IGNORECASE) for word in ("normal", "mask"))
 _TIME = re.compile(
     r"(?:(?<![a-z\d.,])|(?<=exp))(\d+(?:[.,]\d+)?) ?(us|\u00b5s|\u03bcs|ms|s|sec)(?![a-z])",
@@ -122,7 +123,7 @@ def rig_of(folder: Path) -> FoundRig:
     stack. IMAGETYP of a FITS header also distinguishes flats, darks and photographs. Times come
     from the metadata, or from names such as `flat_8ms` and `scene_1-8s`. Wavelengths in names, as
     in `chart_450nm`, separate stacks. An EXR or HDR file next to images of integers is left out,
-    and so are hidden files.
+    and so are hidden files, thumbnails, and JPEG files beside files of the same name.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")
@@ -140,7 +141,7 @@ def rig_of(folder: Path) -> FoundRig:
         check_utf8(file)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
-    pictures = [name for name in names if name not in shape]
+    pictures, copies = _without_copies([name for name in names if name not in shape])
     floating = [name for name in pictures if Path(name).suffix.lower() in FLOAT_FORMATS]
     merged = floating if len(floating) < len(pictures) else []
     images = [_image(folder, name, counted=counted) for name in pictures if name not in merged]
@@ -152,7 +153,8 @@ def rig_of(folder: Path) -> FoundRig:
         left_out=[
             f"{name}: holds floating numbers, and the other images hold whole ones."
             for name in merged
-        ],
+        ]
+        + copies,
     )
     lines = _camera(folder, images, found)
     warmth = _warmth(flat + dark)
@@ -180,6 +182,23 @@ def rig_of(folder: Path) -> FoundRig:
         found.missing.append("No name or header marks darks, which photon transfer needs.")
     found.text = "\n".join(lines) + "\n"
     return found
+
+
+def _without_copies(names: list[str]) -> tuple[list[str], list[str]]:
+    """Leave out thumbnails, and JPEG files beside a file of the same name in another format. Return
+    the names that are kept, and sentences on the others."""
+    lossy = {name for name in names if Path(name).suffix.lower() in JPEG_FORMATS}
+    others = {name for name in names if Path(name).suffix.lower() not in FLOAT_FORMATS} - lossy
+    stems = {Path(name).with_suffix("") for name in others}
+    kept, left_out = [], []
+    for name in names:
+        if _THUMBNAIL.search(Path(name).stem):
+            left_out.append(f"{name}: is a thumbnail, by its name.")
+        elif name in lossy and Path(name).with_suffix("") in stems:
+            left_out.append(f"{name}: another file of this name is no JPEG.")
+        else:
+            kept.append(name)
+    return kept, left_out
 
 
 def _natural(name: str) -> list[tuple[int, float | str]]:

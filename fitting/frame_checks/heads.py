@@ -59,6 +59,18 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
     return found, remarks
 
 
+def different_settings(paths: Sequence[Path]) -> str:
+    """Return in words the exposures and gains that differ between files, by their metadata, such as
+    "exposure 0.01 s to 0.02 s, ISO 100 to 400"; "" for none."""
+    said, words = [_settings(path) for path in paths], []
+    exposure: tuple[str, Callable[[Any], str]] = ("exposure", lambda t: f"exposure {t:.4g} s")
+    for key, in_words in (exposure, *_UNIFORM, _OF_A_GROUP[1]):
+        values = [value for one in said if (value := getattr(one, key)) is not None]
+        if values and max(values) > (1 + ROUNDED) * min(values):
+            words.append(f"{in_words(min(values))} to {in_words(max(values)).split(' ', 1)[-1]}")
+    return ", ".join(words)
+
+
 def _settings(path: Path) -> ImageSettings:
     """Read the metadata of a file; empty if the file has no metadata or is unreadable. An
     unreadable file is refused later, when its pixels are read."""

@@ -13,6 +13,7 @@ Two mirror balls give two lines of sight, which meet at a near light.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -31,7 +32,7 @@ from ..observation import require_as_many, require_several_images
 from ..rig import SiteCamera
 from .file import Lights
 from .highlight import Highlight, highlight_of, reflected
-from .matte import shading_of
+from .matte import odd_image, shading_of
 from .outline import Lens, Outline, centre_of, outline_of
 
 Kind = Literal["mirror", "matte"]
@@ -39,6 +40,10 @@ OUTLINE_SD = 0.5  # pixels
 INSIDE = 0.97  # share of the radius within which highlights are searched
 STEP = 1e-3  # pixels
 NOT_MATTE = 0.03  # residual, relative to the largest signal, from which it is reported
+FEWEST = 4  # images of a matte ball from which one may be left out
+SPREADS = 25.0  # median deviations from which an image differs from the others
+UNLIKE = 4.0  # factor of an intensity from the median from which it is reported
+UNEVEN = 0.05  # of a highlight: difference of the ball's level from that of other images
 CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported
 FOCAL = 5000.0  # pixels, such as a lens of 25 mm and pixels of 5 micrometres
 SEEN_FROM = 0.5  # largest standard deviation of a position, relative to its distance
@@ -135,6 +140,13 @@ def calibrate(
         "one of these lights are wrong."
         for same in copies.found
     )
+    relative = found.intensities / np.median(found.intensities)
+    sentences += tuple(
+        f"{name} is {factor:.2g} times as bright as the others (median). If the lamps are alike, "
+        "its exposure, gain or bit depth differs."
+        for name, factor in zip(found.files, relative, strict=True)
+        if not 1 / UNLIKE < factor < UNLIKE and np.isfinite(factor)
+    )
     if focal_length is None:
         sentences += _lens_finding(found, lens.centre)
     return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings)})
@@ -221,8 +233,16 @@ def _locate_by_highlights(
             own += slope[:, :, None] * slope[:, None, :]
     shared = np.einsum("lio,op,mjp->limj", by_outline, of_outline, by_outline)
     flux = np.array([one.flux for one in seen[0]])
+    levels, peaks = np.array([(one.level, one.peak) for one in seen[0]]).T
+    apart = levels - np.median(levels)
     shared, own = np.pad(shared, 2 * ((0, 0), (0, 1))), np.pad(own, ((0, 0), (0, 1), (0, 1)))
     findings, near = _outline_findings(outlines), len(balls) == 2
+    findings += tuple(
+        f"{names[i]}: beside its highlight the ball is at {levels[i]:.3g} DN above black, in the "
+        f"other images at {np.median(levels):.3g} (median). Its black level, bit depth or gamma "
+        "differs, or other light fell on the ball, and its intensity may be wrong."
+        for i in np.flatnonzero(np.abs(apart) > UNEVEN * (peaks - levels))
+    )
     if np.isnan(flux).any():
         flux = np.full_like(flux, np.nan)
         findings += (
@@ -303,7 +323,22 @@ def _locate_by_shading(
     outline: Outline,
     names: list[str],
 ) -> Lights:
-    found = shading_of(signals, ball, clip, outline, names=names)
+    found, gone = shading_of(signals, ball, clip, outline, names=names), []
+    while len(names) > FEWEST and (odd := odd_image(found, 0.0)) is not None:
+        kept = [i for i in range(len(names)) if i != odd]
+        rest = shading_of(signals[kept], ball, clip, outline, names=[names[i] for i in kept])
+        known = replace(outline, values=rest.values, covariance=1e-6 * outline.covariance)
+        whole = shading_of(signals, ball, clip, known, names=names)  # the outline of the others
+        if odd_image(whole, SPREADS) != odd:
+            break
+        level = whole.offset[odd] - np.median(whole.offset)
+        share = abs(level) / float(np.linalg.norm(whole.g[odd]))
+        gone.append(
+            f"{names[odd]} was left out: compared with the other images, it has {level:+.3g} DN on "
+            f"all of the ball ({format_percent(share)} of its signal). Its black level, bit depth "
+            "or gamma differs, or other light fell on the ball."
+        )
+        signals, names, found = signals[kept], [names[i] for i in kept], rest
     size = np.linalg.norm(found.g, axis=1)
     toward = found.g / size[:, None]
     across = np.eye(3) - toward[:, :, None] * toward[:, None, :]
@@ -311,7 +346,7 @@ def _locate_by_shading(
     by_outline = to_four @ found.by_outline
     shared = np.einsum("lio,op,mjp->limj", by_outline, found.outline_covariance, by_outline)
     own = to_four @ found.own @ np.swapaxes(to_four, 1, 2)
-    findings = _outline_findings([outline])
+    findings = (*gone, *_outline_findings([outline]))
     if found.moved is not None:
         moved = np.einsum("lij,lj->li", to_four, found.moved)
         shared = shared + moved[:, :, None, None] * moved

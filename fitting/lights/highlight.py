@@ -33,12 +33,16 @@ class Highlight:
         sd: standard deviation of each, pixels.
         flux: sum over all pixels of the highlight, DN; NaN where some are clipped.
         flux_sd: relative standard deviation of the flux.
+        level: median of the ball's pixels, DN above black.
+        peak: largest signal, DN above black.
     """
 
     place: Float[np.ndarray, "2"]
     sd: float
     flux: float
     flux_sd: float
+    level: float
+    peak: float
 
 
 def highlight_of(
@@ -100,7 +104,7 @@ def highlight_of(
     around = np.hypot(column - places[-1][0], row - places[-1][1]) < 3 * spread + 2
     flux = float((signal - level)[around & ball].sum())
     relative = float(np.hypot(noise * np.sqrt(around.sum()) / flux, UNEVEN))
-    return Highlight(places[-1], float(sd), np.nan if clipped else flux, relative)
+    return Highlight(places[-1], float(sd), np.nan if clipped else flux, relative, level, peak)
 
 
 def _middle(

@@ -36,6 +36,7 @@ UNLIT = 0.1  # -n.l of pixels that should read black
 SMALL = 0.002  # of the largest signal: a reading of the unlit side too small to matter
 SHOWN = 50.0  # chi-square of three numbers from which room light is called uneven
 SECTORS, RINGS = 8, 3
+ODD = 0.01  # of the largest signal: least constant of an image that differs from the others
 CLEAR = 5.0  # standard errors from which the power differs from 1
 POWERS = 0.4, 2.5  # range of the power
 
@@ -52,6 +53,7 @@ class Shading:
         by_outline: (lights, 3, 3) derivative of g with respect to the outline.
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
+        offset: (lights,) constant that each image alone would add to its g.n, DN.
         floor: level of pixels that face away from the lights, DN above black; it was subtracted.
         power: fitted power of n.l, 1 for Lambert's law.
         power_sd: its standard error.
@@ -69,6 +71,7 @@ class Shading:
     by_outline: Float[np.ndarray, "lights 3 3"]
     misfit: float
     effect: float
+    offset: Float[np.ndarray, " lights"]
     floor: float = 0.0
     power: float = 1.0
     power_sd: float = 0.0
@@ -100,6 +103,15 @@ def shading_of(
     if not abs(free.power - 1) > CLEAR * free.power_sd:
         return found
     return replace(found, moved=free.g - found.g)
+
+
+def odd_image(found: Shading, spreads: float) -> int | None:
+    """Return the image that differs most from the others, by the constant that it alone would add
+    to its shading relative to its largest signal; None if all are alike."""
+    relative = found.offset / np.linalg.norm(found.g, axis=1)
+    off = np.abs(relative - np.median(relative))
+    worst = int(np.argmax(off))
+    return worst if off[worst] > max(ODD, spreads * float(np.median(off))) else None
 
 
 def _unlit_side(
@@ -195,6 +207,7 @@ def _shading(
         np.array([part.by_outline for part in parts]),
         float(np.median([part.misfit for part in parts])),
         effect,
+        np.array([part.offset for part in parts]),
         power=power,
         power_sd=float(np.sqrt(covariance[-1, -1])) if free_power else 0.0,
     )
@@ -209,6 +222,7 @@ class _Light:
     pull: np.ndarray
     misfit: float
     effect: float
+    offset: float
 
 
 def _solve_light(
@@ -246,6 +260,7 @@ def _solve_light(
     change = np.column_stack([np.einsum("pco,c->po", slopes[lit], g), bent])
     back = inverse @ (n.T @ change)
     beyond = change - n @ back
+    constant = 1 - n @ (inverse @ n.sum(axis=0))
     sums = np.stack([np.bincount(sector[lit], column * left) for column in n.T], axis=1)
     effect = float(np.einsum("si,ij,sj->", sums, inverse, sums)) / (3 * variance)
     return _Light(
@@ -256,4 +271,5 @@ def _solve_light(
         beyond.T @ left / variance,
         float(np.sqrt(variance) / np.linalg.norm(g)),
         effect,
+        float(constant @ left / (constant @ constant)),
     )

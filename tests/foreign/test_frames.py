@@ -310,6 +310,20 @@ def test_a_light_that_was_taken_at_another_gain_is_named(tmp_path):
     )
 
 
+def test_exposures_of_lights_that_differ_are_named(tmp_path):
+    """They stand in no entry of a light, so that its intensity includes them."""
+    entries = ["[camera]", "bits = 8", "[geometry]"]
+    entries += ["sphere = { centre = [19.5, 19.5], radius = 18.0 }"]
+    for i, toward in enumerate([(0.6, 0, 0.8), (-0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)]):
+        with_head(tmp_path / f"{i}.jpg", np.full((40, 40), 90, np.uint8), seconds=1 + i % 2)
+        entries += ["[[light]]", f'file = "{i}.jpg"', f"direction = {list(toward)}"]
+    (tmp_path / "rig.toml").write_text("\n".join(entries))
+    found = read_reflectance_observation(tmp_path)
+    assert found.findings[0].startswith(
+        "By their metadata, the images differ in settings (exposure 1 s to 2 s)"
+    )
+
+
 def test_a_flat_of_a_joint_measurement_that_does_not_belong_is_named():
     y, x = (np.mgrid[:40, :40] - 19.5) / 18.0
     z = np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))

@@ -247,7 +247,17 @@ def swapped(dn):
     dn[:, [4, 9]] = dn[:, [9, 4]]
 
 
+def brighter(dn):
+    dn[:, 6] = 64 + 1.3 * (dn[:, 6] - 64)
+
+
+def of_fewer_bits(dn):
+    dn[:, 3] = np.round(dn[:, 3] / 4)  # a light that is held out, too
+
+
 STRANGERS = [
+    (brighter, {6: "it is 1.3 times as bright as the other images"}),
+    (of_fewer_bits, {3: "times as bright as the other images"}),
     (black, {4: "is dark"}),
     (unlit, {4: "is dark"}),
     (saturated, {4: "is saturated"}),

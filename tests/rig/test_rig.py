@@ -384,3 +384,15 @@ def test_a_file_that_is_listed_twice_is_refused(tmp_path, entries, which):
     with pytest.raises(InputError) as found:
         load_rig(tmp_path)
     assert f"a.png stands more than once in {which}; list each file once" in str(found.value)
+
+
+def test_one_photograph_in_two_formats_is_refused(tmp_path):
+    lights = "".join(
+        f'[[light]]\nfile = "{name}"\ndirection = [0, 0, 1]\n'
+        for name in ("a.1s.tif", "a.2s.tif", "a.1s.jpg")
+    )
+    (tmp_path / "rig.toml").write_text(f"camera = {{bits = 8}}\n{lights}")
+    with pytest.raises(
+        InputError, match=r"a\.1s\.tif and a\.1s\.jpg in \[\[light\]\] are files of"
+    ):
+        load_rig(tmp_path)

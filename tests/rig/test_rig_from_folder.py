@@ -344,3 +344,23 @@ def test_hidden_files_are_no_images(tmp_path):
     found = rig_of(tmp_path)
     assert found.left_out == []
     assert [one["exposure"] for one in tomllib.loads(found.text)["exposure"]] == [1, 2]
+
+
+def test_copies_in_another_format_and_thumbnails_are_left_out(tmp_path):
+    for n in range(2):
+        image = np.full((16, 16), 7, np.uint8)
+        for name in (
+            f"IMG_{n}_{n + 1}s.tif",
+            f"IMG_{n}_{n + 1}s.jpg",
+            f"IMG_{n}_{n + 1}s_thumb.png",
+        ):
+            write_image(tmp_path / name, image)
+    found = rig_of(tmp_path)
+    files = [one["file"] for one in tomllib.loads(found.text)["exposure"]]
+    assert files == ["IMG_0_1s.tif", "IMG_1_2s.tif"]
+    assert found.left_out == [
+        "IMG_0_1s.jpg: another file of this name is no JPEG.",
+        "IMG_0_1s_thumb.png: is a thumbnail, by its name.",
+        "IMG_1_2s.jpg: another file of this name is no JPEG.",
+        "IMG_1_2s_thumb.png: is a thumbnail, by its name.",
+    ]

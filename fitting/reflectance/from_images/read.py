@@ -28,7 +28,7 @@ from jaxvision.geometry import angle_between, mirror_direction
 from jaxvision.geometry.hemisphere import local_frame
 
 from ...frame_checks.frame import frame_sample, refuse_half
-from ...frame_checks.heads import Stated, odd_heads
+from ...frame_checks.heads import Stated, different_settings, odd_heads
 from ...frame_checks.levels import odd_frames
 from ...inference.formatting import format_percent
 from ...lights.file import read_lights
@@ -383,7 +383,13 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
     refuse_half(rig.folder, odd, len(stated))
     gone = {name for one in odd for name in one.names}
     kept = tuple(light for light in rig.light if light.file not in gone)
-    return rig.model_copy(update={"light": kept}), [one.sentence for one in odd]
+    remarks = [one.sentence for one in odd]
+    if settings := different_settings([rig.path(light.file) for light in kept]):
+        remarks.append(
+            f"By their metadata, the images differ in settings ({settings}). The rig states none "
+            "for lights, so their intensities must include these settings."
+        )
+    return rig.model_copy(update={"light": kept}), remarks
 
 
 def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w"]:

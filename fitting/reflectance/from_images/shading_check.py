@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
+from scipy.special import ndtri
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
@@ -26,6 +27,7 @@ FAR, NEAR = 15.0, 10.0  # degrees: deviation of a doubtful direction; of an acce
 DARK, SHARE = 0.01, 0.05  # of the brightest: an unlit pixel; reported share of such pixels
 MOST, FEWEST_LEFT = 0.5, 3  # largest share of images left out; fewest fitted images that stay
 CAMERA = np.array([0.0, 0.0, 1.0])
+BRIGHTER = 1.15  # least factor of an image that is brighter or dimmer than the others
 SIDE = 0.3  # cosine of incidence from which a pixel faces a light
 CHANGES = {
     "the sign of y turned around": lambda v: v * [1, -1, 1],
@@ -42,6 +44,14 @@ def directions_by_shading(
     estimate is valid (lights,). The estimate is valid if the light is distant and the surface matt
     enough.
     """
+    found, known = _lights_by_shading(observation)
+    return found / np.linalg.norm(found, axis=1, keepdims=True), known
+
+
+def _lights_by_shading(
+    observation: Photographs,
+) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
+    """Return g (lights, 3), in DN, estimated from each image alone, and whether it is valid."""
     signal = np.mean(observation.dn - observation.black, axis=0)
     if observation.gamma is not None:
         signal = np.maximum(signal, 0) ** observation.gamma
@@ -56,24 +66,24 @@ def directions_by_shading(
 def _direction(
     values: Float[np.ndarray, " pixels"], normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[Float[np.ndarray, "3"], bool]:
-    """Return the least-squares direction of one light, without shadows and highlights, and whether
+    """Return the least-squares g of one light, in DN, without shadows and highlights, and whether
     this estimate is valid.
     """
     if len(values) < FEWEST_PIXELS:
         return CAMERA, False
     kept = lit = values > LIT * np.quantile(values, 0.98)
-    toward, fitted = CAMERA, np.zeros(3)
+    toward = CAMERA
     for _ in range(ROUNDS):
         if kept.sum() < FEWEST_PIXELS or _spread(normals[kept]) < FLAT:
             return toward, False
         fitted = np.linalg.lstsq(normals[kept], values[kept], rcond=None)[0]
         if not np.any(fitted):
             return toward, False
-        toward = fitted / np.linalg.norm(fitted)
+        toward = fitted
         shown = normals @ fitted
         off = np.abs(values - shown)
         kept = lit & (shown > 0) & (off <= OUTLYING * max(np.median(off[lit]), 1e-9))
-    rest = values[kept] - normals[kept] @ fitted
+    rest = values[kept] - normals[kept] @ toward
     explained = float(np.var(rest)) < (1 - MATT) * float(np.var(values[kept]))
     return toward, bool(kept.sum() > lit.sum() / 2) and explained
 
@@ -92,16 +102,17 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 def without_strangers(observation: Photographs) -> Photographs:
     """Leave out images that are dark or saturated throughout, and copies of other images. If most
-    images agree with the stated directions of their lights, also leave out images whose shading
-    contradicts the stated direction. A finding reports each omitted image. If more than half of the
+    images agree with the stated lights, also leave out images whose shading contradicts the stated
+    direction or intensity. A finding reports each omitted image. If more than half of the
     images, or all but a few, would be left out, no image is left out.
     """
     reasons = {
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()
     }
-    shown, known = directions_by_shading(observation)
-    off = _angles(shown, _stated(observation))
+    g, known = _lights_by_shading(observation)
+    size = np.linalg.norm(g, axis=1)
+    off = _angles(g / size[:, None], _stated(observation))
     names = list(observation.files)
     for copies in _copies(observation).found:
         places = [names.index(name) for name in copies]
@@ -117,6 +128,12 @@ def without_strangers(observation: Photographs) -> Photographs:
                 int(i),
                 f"its shading shows the light {off[i]:.0f}° from where the rig states it (median "
                 f"of all {median:.1f}°), so check its direction and file",
+            )
+        for i, factor in _unequal(observation, size, known):
+            reasons.setdefault(
+                i,
+                f"it is {factor:.3g} times as bright as the other images and the stated intensity "
+                "of its light say, so check its intensity, exposure and bit depth",
             )
     kept = np.array([i not in reasons for i in range(len(names))])
     enough = np.count_nonzero(kept & ~observation.held_out) >= FEWEST_LEFT
@@ -143,6 +160,21 @@ def _odd(
     """
     known = np.degrees(observation.uncertain.get("direction_sd", np.zeros(len(off))))
     return np.flatnonzero(judged & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
+
+
+def _unequal(
+    observation: Photographs, size: Float[np.ndarray, " lights"], known: Bool[np.ndarray, " lights"]
+) -> list[tuple[int, float]]:
+    """Return the lights that are individually brighter or dimmer than the rig states, with the
+    factor."""
+    driven = np.mean(observation.intensity, axis=0) * observation.falloff.mean(axis=1)
+    ratio = np.log(size / driven)
+    ratio -= np.median(ratio[known])
+    spread = np.median(np.abs(ratio[known])) / ndtri(0.75)
+    errors = [observation.uncertain.get(name, 0.0) for name in ("intensity_sd", "exposure_sd")]
+    widest = np.maximum(max(np.log(BRIGHTER), 6 * spread), 4 * np.hypot(*errors))
+    odd = np.flatnonzero(known & (np.abs(ratio) > widest))
+    return [(int(i), float(np.exp(ratio[i]))) for i in odd]
 
 
 def _copies(observation: Photographs) -> Copies:
