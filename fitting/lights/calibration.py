@@ -33,7 +33,7 @@ from ..rig import SiteCamera
 from .file import Lights
 from .highlight import Highlight, highlight_of, reflected
 from .matte import odd_image, shading_of
-from .outline import Lens, Outline, centre_of, outline_of
+from .outline import Lens, Outline, centre_of, edge_beside_mask, outline_of
 
 Kind = Literal["mirror", "matte"]
 OUTLINE_SD = 0.5  # pixels
@@ -214,6 +214,24 @@ def _locate_by_highlights(
         return _crossing(radius * (centres - centres[0])[:, None] + radius * normals, toward)
 
     found = places(values, spots)
+    picture = np.median(signals, axis=0)
+    beside: tuple[str, ...] = ()
+    for i, (ball, outline) in enumerate(zip(balls, tuple(outlines), strict=True)):
+        edge = edge_beside_mask(picture, ball, outline)
+        if edge is None:
+            beside += (
+                f"The images do not show the outline of ball {i}, so its mask was not checked.",
+            )
+        elif (
+            np.abs(edge) > np.maximum(1, CONTRADICTED * np.sqrt(np.diag(outline.covariance)))
+        ).any():
+            x, y, r = outline.values + edge
+            outlines[i] = replace(outline, covariance=outline.covariance + np.outer(edge, edge))
+            beside += (
+                f"In the images the edge of ball {i} is a circle about ({x:.2f}, {y:.2f}) with a "
+                f"radius of {r:.2f} pixels, not where its mask is: the mask is wrong. The standard "
+                "deviations include the difference; correct the mask.",
+            )
     by_outline = np.stack(
         [
             _slope(lambda step, b=b, i=i: places(_moved(values, (b, i), step), spots))
@@ -236,7 +254,7 @@ def _locate_by_highlights(
     levels, peaks = np.array([(one.level, one.peak) for one in seen[0]]).T
     apart = levels - np.median(levels)
     shared, own = np.pad(shared, 2 * ((0, 0), (0, 1))), np.pad(own, ((0, 0), (0, 1), (0, 1)))
-    findings, near = _outline_findings(outlines), len(balls) == 2
+    findings, near = (*_outline_findings(outlines), *beside), len(balls) == 2
     findings += tuple(
         f"{names[i]}: beside its highlight the ball is at {levels[i]:.3g} DN above black, in the "
         f"other images at {np.median(levels):.3g} (median). Its black level, bit depth or gamma "

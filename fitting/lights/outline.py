@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from jaxvision.errors import InputError
 
@@ -24,6 +24,7 @@ from ..inference.problem import Problem
 RAYS = 256  # from the middle of a mask to its edge
 ROUNDING = 12**-0.5  # pixels, of an edge between two pixels
 SMALLEST = 8.0  # pixels, of a radius
+AROUND = 0.3  # of the radius: distance from a mask's edge within which a picture shows its own
 ROUND = 0.05  # largest rms of a mask's edge about the outline, relative to the radius
 
 
@@ -125,6 +126,41 @@ def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: st
         values[:2] += lens.centre
     covariance = radius**2 * np.asarray(found.posterior.covariance) + sd**2 * np.eye(3)
     return Outline(values, covariance, scatter, lens)
+
+
+def edge_beside_mask(
+    picture: Float[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"], outline: Outline
+) -> Float[np.ndarray, "3"] | None:
+    """Return by how much column, row and radius of a ball's edge in a picture differ from those of
+    its mask, pixels; None if the picture shows no edge round the ball.
+    """
+    seen, drawn = (_edge(one, outline.values) for one in (picture, mask.astype(float)))
+    return None if seen is None or drawn is None else seen - drawn
+
+
+def _edge(
+    picture: Float[np.ndarray, "h w"], circle: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"] | None:
+    """Return the change of a circle to that of the steepest steps along its radii, pixels; None if
+    these are not on a circle.
+    """
+    column, row, radius = circle
+    turn = 2 * np.pi * np.arange(RAYS) / RAYS
+    along = np.arange((1 - AROUND) * radius, (1 + AROUND) * radius, 0.25)
+    x, y = column + np.outer(np.cos(turn), along), row + np.outer(np.sin(turn), along)
+    inside = (x >= 0) & (y >= 0) & (x <= picture.shape[1] - 1) & (y <= picture.shape[0] - 1)
+    light = map_coordinates(picture, [y, x], order=1, mode="nearest")
+    light = gaussian_filter(light, (2, 4), mode=("wrap", "nearest"))
+    steps = np.where(inside, np.abs(np.gradient(light, axis=1)), 0)
+    edge = along[np.argmax(steps, axis=1)] - radius
+    design = np.stack([np.cos(turn), np.sin(turn), np.ones(RAYS)], axis=1)
+    near, change = np.abs(edge - np.median(edge)) < 0.15 * radius, np.zeros(3)
+    for width in (0.1 * radius, 2.0, 1.0, 1.0):
+        if near.sum() < RAYS / 2:
+            return None
+        change = np.linalg.lstsq(design[near], edge[near], rcond=None)[0]
+        near = np.abs(edge - design @ change) < width
+    return change if near.sum() > RAYS / 2 else None
 
 
 def surface(

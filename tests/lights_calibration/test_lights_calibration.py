@@ -474,6 +474,24 @@ def test_intensities_and_levels_that_differ_much_are_named():
     assert any(s.startswith(f"images[2]: {said} 7") for s in found.findings)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("factor", "shift"), [(1.1, 0), (0.9, 0), (1, 3), (0.95, 2)])
+def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, shift, seed):
+    """Off by up to 12 degrees, at 2 before."""
+    images, mask, truth, _ = simulated("mirror", seed, off=0.0)
+    row, column = np.argwhere(mask).mean(axis=0)
+    wrong = np.hypot(COLUMNS - column - shift, ROWS - row) < factor * RADIUS
+    found = calibrate(images, [wrong], camera=CAMERA)
+    assert any("a radius of 3" in s and "the mask is wrong" in s for s in found.findings)
+    assert np.abs(standardised(found, truth)[0]).max() < 2.5
+    right = calibrate(images, [mask], camera=CAMERA)
+    assert not any("mask is wrong" in s or "not checked" in s for s in right.findings)
+    inside = np.hypot(COLUMNS - column, ROWS - row) < RADIUS
+    unseen = [image - 60 * inside for image in images]
+    dark = calibrate(unseen, [mask], camera=CAMERA)
+    assert any("so its mask was not checked" in s for s in dark.findings)
+
+
 def test_uneven_room_light_widens_the_directions_of_a_matte_ball():
     """Off by 2.2 to 2.9 degrees, at .01 before."""
     images, mask, truth, _ = simulated("matte", 0, lights=ring(45.0))
