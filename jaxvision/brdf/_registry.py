@@ -261,14 +261,15 @@ def lambertian(material: Any) -> Material:
     of a material.
 
     Args:
-        material: a material with the fields `diffuse` and `ambient`.
+        material: any material; one without a field `diffuse`, such as a mirror, becomes black.
 
     Returns:
         The material with its Lambertian and ambient parts only.
     """
     from .lambert import Lambert
 
-    return Lambert(material.diffuse, ambient=getattr(material, "ambient", None))
+    black = jnp.zeros(1, jax.tree.leaves(material)[0].dtype)
+    return Lambert(getattr(material, "diffuse", black), ambient=getattr(material, "ambient", None))
 
 
 def absorption(material: Any) -> Colour | None:

@@ -398,7 +398,8 @@ def effects(
         bool,
         typer.Option(
             "--estimates",
-            help="Also estimate the light of long paths by sampling, without proof.",
+            help="Also estimate the light of long paths, and what is not bounded, from small "
+            "pictures without proof.",
         ),
     ] = False,
     timed: Annotated[
@@ -441,6 +442,8 @@ def effects(
             count = sum(effect.rank == "estimate" for effect in found)
             which = "is an estimate" if count < 2 else "are estimates"
             print(f"{count or 'None'} of {len(found)} bounds {which}.")
+        elif any(effect.bound == float("inf") for effect in found):
+            print("Not bounded: --estimates adds the change of a small picture.")
         return
     pruned = prune_scene(source, source.render, goal, **asked)
     certificate = pruned.certificate

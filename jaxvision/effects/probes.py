@@ -1,5 +1,7 @@
-"""Estimate the light of long paths from small pictures, because the proved bound may be far too
-large.
+"""Estimate changes of radiance from small pictures, because the proved bounds may be far too large.
+
+The change by any single effect of a scene is estimated by a picture with the effect and a picture
+without it. Both use the same random numbers. The light of long paths is extrapolated.
 
 In the Cornell box, a bright closed room, the proved bound of `bounces` requires tens of path
 segments. For an estimate, pictures of 16 x 16 pixels with 64 paths each are rendered with n, n + 1
@@ -13,17 +15,24 @@ where D is taken from the brightest pixel, and r is two standard errors above th
 Light is given as radiance in W m^-2 sr^-1.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import jax
 import numpy as np
 
+from ..rendering import render
+from ..rendering.pixel_loop import Traced
 from ..scene import Scene, View
 from ..transport import Paths, path_traced
 from .bounces import DIRECT, pieces_row, shorter
-from .stages import FAST, Row
+from .certificate import RADIANCE, Effect
+from .choice import finished
+from .seconds import draft_without, party_of
+from .stages import FAST, Draft, Row
 
-_SIDE, _PATHS = 16, 64
+SIDE = 16  # pixels along the longer side of a small picture
+_FINE, _PATHS = 32, 64  # pixels along the longer side of a picture with and without an effect
 _FIRST_GEOMETRIC = 4  # segments from which the light is assumed to fall by a constant factor
 ASSUMED = "Each further segment of a path beyond the probed ones reduces its light by one factor."
 
@@ -36,13 +45,9 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
     n = min(_FIRST_GEOMETRIC, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()
-    coarse = replace(
-        view,
-        resolution=(_SIDE, _SIDE),
-        pixel_pitch=view.pixel_pitch * (max(view.resolution) / _SIDE),
-    )
+    coarse = coarse_view(view, SIDE)
     pictures = [
-        np.asarray(_probe(scene, coarse, Paths(_PATHS, pieces)), float)
+        np.asarray(_probe(scene, coarse, Paths(_PATHS, pieces)).radiance, float)
         for pieces in (n, n + 1, n + 2)
     ]
     tails = tails_of(*pictures, n=n, depth=depth)
@@ -52,11 +57,56 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
     )
 
 
-def _traced(scene: Scene, view: View, method: Paths) -> jax.Array:
-    return path_traced(jax.random.key(0), scene, view, method=method).radiance
+def _traced(scene: Scene, view: View, method: Paths) -> Traced:
+    return path_traced(jax.random.key(0), scene, view, method=method)
 
 
 _probe = jax.jit(_traced, compiler_options=FAST)
+_rendered = jax.jit(render, compiler_options=FAST)
+
+
+def coarse_view(view: View, side: int) -> View:
+    """Return a view of the same field with `side` pixels along the longer side."""
+    scale = max(view.resolution) / side
+    small = [max(round(pixels / scale), 1) for pixels in view.resolution]
+    return replace(view, resolution=tuple(small), pixel_pitch=view.pixel_pitch * scale)
+
+
+def paired_effects(rows: Sequence[Row], start: Draft, scene: Scene) -> Iterator[Effect | None]:
+    """Yield, for each `Row`, the largest change of a small picture without the effect, as an
+    `Effect` of rank "estimate". Yield None where the bound is at most the brightest pixel of that
+    picture, and for effects of the lens and the sensor and those that cannot be dropped alone.
+    `start` is the `Draft` with all effects."""
+    of_scene = [row.unit == RADIANCE and not row.ladder and not start.motion for row in rows]
+    picture, error = _small_picture(scene, start) if any(of_scene) else np.zeros((2, 1))
+    brightest = np.max(picture, initial=0, where=np.isfinite(picture))
+    for row, own_unit in zip(rows, of_scene, strict=True):
+        wide = own_unit and row.bound > brightest
+        draft = draft_without(party_of(row, rows), start) if wide else None
+        if draft is None:
+            yield None
+            continue
+        left, own = _small_picture(scene, draft)
+        change = np.where(np.isfinite(left - picture), np.abs(left - picture), 0)
+        most = np.unravel_index(np.argmax(change), change.shape)
+        why = f"largest change of a picture of {' x '.join(map(str, change.shape[:2]))} pixels"
+        if start.depth is not None:
+            why += f", +- {np.hypot(own, error)[most]:.2g} by sampling"
+        bound = min(float(change[most]), row.bound)  # others may have to be dropped together
+        yield replace(row.effect, bound=bound, place=0.0, rank="estimate", why=why)
+
+
+def _small_picture(scene: Scene, draft: Draft) -> tuple[np.ndarray, np.ndarray]:
+    """Return a small picture of the scene of a `Draft`, and its standard errors, both (h, w, bands)
+    W m^-2 sr^-1."""
+    left, view = finished(scene, draft), coarse_view(draft.camera.view, _FINE)
+    if draft.depth is None:
+        samples = draft.samples
+        some = None if samples is None else replace(samples, count=min(samples.count, SIDE))
+        picture = np.asarray(_rendered(left, view, samples=some), float)
+        return picture, np.zeros_like(picture)
+    found = _probe(left, view, Paths(_PATHS, max(draft.depth, DIRECT)))
+    return np.asarray(found.radiance, float), np.asarray(found.error, float)
 
 
 def tails_of(

@@ -21,13 +21,13 @@ from .illumination import has_size
 from .moments import scene_rows
 from .motion import moments_of, motion_stage
 from .optics import optics_stage
+from .probes import SIDE, coarse_view, paired_effects
 from .seconds import Advance, seconds_of
 from .sensor import sensor_stage
 from .stages import FAST, Draft, Ends, Method, Row, unproved
 
 _MOVABLE = "surfaces[", "shadows[", "ambient", "view."  # effects of fields that a motion may change
 WORTH = 0.03  # share of the work, below which an effect that changes nothing is kept
-_PROBE = 16  # pixels along each side of the picture from which the level is found
 _probe = jax.jit(render, compiler_options=FAST)
 
 
@@ -111,7 +111,10 @@ def inspect(
         moments: number of times at which a motion is evaluated, as in `capture`.
         depth: number of segments of the longest path, as in `transport.Paths`; None for direct
             light, as in `render`.
-        estimates: whether the contribution of long paths is also estimated from small pictures.
+        estimates: whether changes of radiance are also estimated from small pictures: for long
+            paths, and with and without each effect that has no bound below the brightest pixel. An
+            estimate follows the bound as an `Effect` of rank "estimate". It is for the scene as
+            given, whatever is free.
         whole_paths: whether the integrator follows all paths to their end, as radiosity does, so
             that the number of path segments cannot be reduced.
         caustics: whether paths start at the lights, as in `light_traced`: mirrors and glass then
@@ -148,14 +151,20 @@ def inspect(
     paths = estimates, whole_paths, caustics
     method = Method(whole, depth, samples, motion, moments, *paths)
     chain = _chain_of(scene, own, free, method)
-    named, taken = frozenset(free or ()), [None] * len(chain.rows)
+    rows, start, found = chain.rows, _start(scene, own, method), []
+    taken, paired = [None] * len(rows), [None] * len(rows)
     if time:
-        start = _start(scene, own, method)
-        taken = seconds_of(chain.rows, start, scene, whole=whole, advance=advance)
-    return tuple(
-        replace(row.effect, free=any(concerns(name, row.name) for name in named), seconds=seconds)
-        for row, seconds in zip(chain.rows, taken, strict=True)
-    )
+        taken = seconds_of(rows, start, scene, whole=whole, advance=advance)
+    if estimates:
+        paired = list(paired_effects(rows, start, scene))
+    for row, seconds, estimate in zip(rows, taken, paired, strict=True):
+        fixed = not any(concerns(name, row.name) for name in free or ())
+        found += [
+            replace(effect, free=not fixed, seconds=seconds)
+            for effect in (row.effect, estimate)
+            if effect is not None
+        ]
+    return tuple(found)
 
 
 def _start(scene: Scene, camera: Camera, method: Method) -> Draft:
@@ -342,10 +351,7 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 def _level(scene: Scene, view: View) -> float:
     """Return the radiance, in W m^-2 sr^-1, of the brightest pixel of a coarse picture."""
-    rows, columns = view.resolution
-    scale = max(rows, columns) / _PROBE
-    small = (max(round(rows / scale), 1), max(round(columns / scale), 1))
-    coarse = replace(view, resolution=small, pixel_pitch=view.pixel_pitch * scale)
+    coarse = coarse_view(view, SIDE)
     if isinstance(coarse, ThinLens):
         coarse = replace(coarse, f_number=np.inf)
     picture = np.asarray(_probe(scene, coarse))

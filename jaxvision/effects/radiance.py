@@ -178,7 +178,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     """Bound the change if a rectangular lamp is replaced by a `SmallLight` at its centre."""
     amount, small, why = extent_change(sums, k)
     if onward.depth is not None:
-        small, why = None, "paths meet the lamp, which hides the objects behind it"
+        amount, why = amount + np.inf, "paths meet the lamp, which hides the objects behind it"
     name, lamp = f"lights[{k}].extent", f"lights[{k}]"
     if small is None:
         return Row(name, _unknown(sums), why, None, saves=_REST, part_of=lamp)
@@ -206,15 +206,16 @@ def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
     if np.any(reflection.plain) or reflection.rough is not None:
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
-        why = "a mirror or glass shows the rest of the scene: no bound is known"
-        yield Row(f"{name}.material", _unknown(sums), why, None, saves=_REST)
+        why = "a mirror or glass, replaced by black, shows the scene no longer: no bound is known"
+        yield Row(f"{name}.material", _unknown(sums), why, _make_lambertian(i), saves=_REST)
     if absorbs(material):
         yield absorption(sums, onward, i)
     if surface.low.emission is not None:
         yield emission(sums, onward, i)
     if isinstance(surface.low.shape, TriangleMesh) and surface.low.shape.normals is not None:
         why = "rotates the shading normals of a mesh: no bound is known"
-        yield Row(f"{name}.shape.normals", _unknown(sums), why, None, saves=_REST)
+        flat = setting(f"{name}.shape.normals")
+        yield Row(f"{name}.shape.normals", _unknown(sums), why, flat, saves=_REST)
 
 
 def _largest_sent(

@@ -61,11 +61,8 @@ def seconds_of(
         small = tuple(max(2 * round(n / scale / 2), 2) for n in small)
     coarse = replace(view, resolution=small, pixel_pitch=view.pixel_pitch * scale)
     start = replace(start, camera=replace(start.camera, view=coarse))
-    parties = [
-        [own for own in rows if own.together == row.together] if row.together else [row]
-        for row in rows
-    ]
-    drafts = [_without(party, start) for party in parties]
+    parties = [party_of(row, rows) for row in rows]
+    drafts = [draft_without(party, start) for party in parties]
     calls = _Calls(scene, start, whole=whole)
     full = calls.parts(start)
     found = [None if draft is None else calls.parts(draft) for draft in drafts]
@@ -82,7 +79,13 @@ def seconds_of(
     ]
 
 
-def _without(party: Sequence[Row], start: Draft) -> Draft | None:
+def party_of(row: Row, rows: Sequence[Row]) -> list[Row]:
+    """Return the rows that can only be dropped together with a row, including itself."""
+    return [own for own in rows if own.together == row.together] if row.together else [row]
+
+
+def draft_without(party: Sequence[Row], start: Draft) -> Draft | None:
+    """Return the `Draft` without effects that are dropped together; None if impossible."""
     draft = start
     for row in party:
         if row.drop is None or row.needs or not row.present:

@@ -118,9 +118,9 @@ class Row:
 
 
 def unproved(row: Row, why: str) -> Row:
-    """Return a copy of a `Row` that is never dropped because of `why`: its bound is inf."""
+    """Return a copy of a `Row` that `prune` never drops because of `why`: its bound is inf."""
     amount = row.amount + np.inf
-    return replace(row, why=why, amount=amount, estimated=False, after=None, drop=None)
+    return replace(row, why=why, amount=amount, estimated=False, after=None)
 
 
 def field_functions(record: type, functions: Mapping[str, Any]) -> dict[str, Any]:

@@ -113,5 +113,5 @@ def test_effects_bear_the_names_of_the_file_and_shares_in_percent():
     assert status == 0
     for words in ('lights[0] "lamp"', 'surfaces[2].material "glass ball"', "> 100 %"):
         assert words in out
-    status, out, _ = called(app, "effects", "glass_and_mirror", "--estimates")
+    status, out, _ = called(app, "effects", "cornell_box", "--estimates")
     assert out.strip().splitlines()[-1].endswith(("is an estimate.", "are estimates."))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
+from jaxvision import effects
 from jaxvision.brdf import _registry as materials
 from jaxvision.core._types import members_of
 from jaxvision.effects import bodies
@@ -119,3 +120,52 @@ def test_every_kind_of_light_material_and_shape_is_bounded():
 def test_every_field_of_a_scene_has_its_row_or_is_a_quantity(name):
     own = {field.name for field in fields(KINDS[name])}
     assert own == ROWS.get(name, set()) | QUANTITIES[name]
+
+
+@pytest.mark.parametrize("depth", [None, 3])
+def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
+    """A mirror at 45 degrees shows half of a lamp of radiance 3, and the floor beside it."""
+    tilted = np.array([0, 1, 1]) / np.sqrt(2)
+    mirror = jv.Surface(jv.Disc([0, 0, 0], tilted, 0.5), jv.Mirror([0.5]))
+    lamp = jv.RectangleLight([-2, 3, -2], [4, 0, 0], [0, 0, 4], [3.0])  # faces -y
+    floor = jv.Surface(jv.Quad([-9, -9, -1], [18, 0, 0], [0, 18, 0]), jv.Lambert([0.0]))
+    down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    view = jv.Orthographic([0, 0, 2], down, 0.1, resolution=(16, 16))
+    scene = jv.Scene([floor, mirror], lamp)
+    assert float(jv.render(scene, view).max()) == pytest.approx(1.5)
+    found = effects.inspect(scene, view, depth=depth, estimates=True)
+    (bound, estimate) = (e for e in found if e.name == "surfaces[1].material")
+    assert bound.bound == np.inf
+    assert estimate.rank == "estimate"
+    assert estimate.bound == pytest.approx(1.5)
+    proved = effects.inspect(scene, view, depth=depth)
+    assert [e for e in found if e.rank != "estimate"] == list(proved)
+    pruned = effects.prune(scene, view, "90%", level=1.5, depth=depth, estimates=True)
+    assert isinstance(pruned.scene.surfaces[1].material, jv.Mirror)
+
+
+def test_estimates_are_changes_of_the_picture():
+    """A lamp near a ball: its bound as a point is several times the picture's brightest pixel."""
+    ball = jv.Surface(jv.Sphere([0, 0, 0.5], 0.5), jv.Phong([0.2], [0.4], 80.0))
+    floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))
+    lamp = jv.RectangleLight([-0.5, -0.5, 1.6], [0, 1, 0], [1, 0, 0], [5.0])
+    turned = jv.look_at([0, -4, 3], [0, 0, 0.5], [0, 0, 1])
+    view = jv.Pinhole([0, -4, 3], turned, 1.0, 1 / 24, resolution=(24, 32))
+    scene = jv.Scene([floor, ball], lamp)
+    found = effects.inspect(scene, view, estimates=True)
+    estimated = {e.name: e for e in found if e.rank == "estimate"}
+    small = jv.SmallLight([0, 0, 1.6], [0, 0, -1], [5.0])
+    less = {
+        "lights[0].extent": jv.Scene([floor, ball], small),
+        "surfaces[1].material.specular": jv.Scene(
+            [floor, jv.Surface(ball.shape, jv.Lambert([0.2]))], lamp
+        ),
+    }
+    assert estimated.keys() & less.keys()
+    for name in estimated.keys() & less.keys():
+        change = np.abs(
+            np.asarray(jv.render(scene, view)) - np.asarray(jv.render(less[name], view))
+        )
+        assert estimated[name].bound == pytest.approx(change.max(), rel=1e-4)
+        bound = next(e.bound for e in found if e.name == name)
+        assert bound >= estimated[name].bound
