@@ -36,6 +36,9 @@ RARE_RATIO = 3.0  # a code is rare if both neighbouring codes occur this many ti
 STANDARD_ERRORS = 5.0  # standard errors, and codes
 COMPARED_NUMBERS = 16  # numbers below the largest with which it is compared
 PILE, STEEP = 100, 10.0  # least pixels at the largest number, and ratio to the numbers below
+LEAST_PILE_SHARE = 0.002  # of all pixels, that codes next to a pile of clipped black have
+PILE_RATIOS = 0.5, 10.0  # of its count to the next code's: tails have less, quiet black has more
+LEAST_CURVATURE = -1.6  # of the logarithms of counts, for a noise of 0.8 codes
 COARSE_STEP = 3.0  # DN; a finer step cannot be detected after a second rounding
 FLOAT32 = 2.0**-22  # relative rounding error of numbers stored in single precision
 
@@ -56,6 +59,8 @@ class Converter:
         clips_at: largest value, DN, where many pixels have exactly that value; None elsewhere.
         coarse_from: DN above which the step is `coarse_step`; None where all steps are equal.
         coarse_step: DN between neighbouring codes above `coarse_from`.
+        clips_below: smallest value of darks, DN, where clipping gives many pixels that value,
+            although it is above the first code; None elsewhere.
     """
 
     step: float = 1.0
@@ -66,6 +71,12 @@ class Converter:
     clips_at: float | None = None
     coarse_from: float | None = None
     coarse_step: float = 1.0
+    clips_below: float | None = None
+
+    @property
+    def lowest(self) -> float:
+        """The number below which all are clipped, DN."""
+        return self.origin if self.clips_below is None else self.clips_below
 
     @property
     def width(self) -> float:
@@ -152,6 +163,32 @@ class Codes:
         if missing:
             return Converter(even=False, missing=missing, clips_at=clips_at)
         return Converter(imbalance=_imbalance(smooth), clips_at=clips_at)
+
+    def clips_below(self) -> float | None:
+        """Return the smallest number of frames without light if clipping piles up pixels there,
+        else None.
+
+        The logarithms of the counts of a noisy black level are a parabola with curvature -1 / s^2
+        for noise of s codes. If this holds above the smallest code, and that code has more counts
+        than the parabola predicts, those of the codes below are among them.
+        """
+        used = np.flatnonzero(self._whole)
+        if self._broken.size or used.size < FEWEST_WHOLE or np.ptp(np.diff(used[:4])):
+            return None
+        counts = self._whole[used[:4]].astype(float)
+        ratio, share = counts[0] / counts[1], counts.min() / self._whole.sum()
+        least, most = PILE_RATIOS
+        if counts[0] < PILE or not least < ratio < most or share < LEAST_PILE_SHARE:
+            return None
+
+        def combined(weights: Sequence[int]) -> tuple[float, float]:
+            own = np.array(weights)
+            return float(own @ np.log(counts)), float(np.sqrt(own**2 @ (1 / counts)))
+
+        curvature, error = combined((0, 1, -2, 1))
+        excess, of_excess = combined((1, -3, 3, -1))
+        smooth = LEAST_CURVATURE < curvature < 2 * error
+        return float(used[0]) if smooth and excess > 2 * of_excess else None
 
     @property
     def whole(self) -> bool | None:

@@ -70,12 +70,15 @@ class ComparedLevels:
             self._pixel_noise[known] = float(np.sqrt(least / 2))
         return self._pixel_noise[known]
 
+    def sample_size(self, level: int) -> int:
+        """Return the number of pixels in a frame's sample."""
+        return max((frame.sample.size for frame in self.frames[level]), default=0)
+
     def chance(self, level: int) -> float:
         """Return an upper limit of the rms difference, in DN, that pixel noise causes between the
         means of two frames. The limit is computed for the number of pixels in a frame's sample,
         which is smaller than the number of pixels in its mean."""
-        sizes = [frame.sample.size for frame in self.frames[level]]
-        return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
+        return float(self.noise[level]) * float(np.sqrt(2 / max(self.sample_size(level), 1)))
 
     def scale(self, level: int) -> float:
         """Return the scale, in DN, by which deviations at a level are divided: the signal for

@@ -13,6 +13,7 @@ from ..inference.diagnostics import listed as all_listed
 
 SIDE = 128  # pixels of a frame that are kept, along each side
 ALONE = "it is the only remaining frame of its level"
+COPIED_DARKS = "they are equal in every pixel to darks that are listed under another exposure"
 COPIED = "{} are equal in every pixel, so at most one of them was taken as stated"
 
 

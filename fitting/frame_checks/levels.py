@@ -36,7 +36,7 @@ from .compared import (
     usual_size,
     without_lines,
 )
-from .frame import COPIED, FrameSample, OddFrames, listed
+from .frame import COPIED, COPIED_DARKS, FrameSample, OddFrames, listed
 from .moved import moved_frames
 
 PAIRS = 2.22  # standard deviations per lower quartile of pairwise differences
@@ -61,8 +61,8 @@ def odd_frames(
         distribution_of_levels(compared)
         light_of_levels(compared)
         noise_of_levels(compared)
-        _copies_across(compared)
-    else:
+    _copies_across(compared)
+    if black is None:
         dark_levels(compared)
     return compared.odd
 
@@ -103,7 +103,7 @@ def _copies(levels: ComparedLevels) -> None:
     for level, frames in enumerate(levels.frames):
         if not frames or (not dark and levels.light[level] <= 0):
             continue
-        if dark and usual**2 * frames[0].sample.size < SURE**2:
+        if dark and usual**2 * levels.sample_size(level) < SURE**2:
             continue  # frames without noise may be equal
         copies = Copies()
         for frame in frames:
@@ -115,12 +115,27 @@ def _copies(levels: ComparedLevels) -> None:
 
 def _copies_across(levels: ComparedLevels) -> None:
     """Remove frames that occur at two levels from both levels, because it is unknown which frame is
-    the copy."""
-    copies = Copies()
+    the copy. If darks consist of such copies alone, those of one level are kept."""
+    dark, copies = levels.black is None, Copies()
     for level, frames in enumerate(levels.frames):
-        for frame in frames if levels.light[level] > 0 else ():
+        noisy = levels.noise[level] ** 2 * levels.sample_size(level) > SURE**2
+        for frame in frames if (noisy if dark else levels.light[level] > 0) else ():
             copies.add(frame.name, frame.sample)
-    for names in copies.found:
+    copied = {name for names in copies.found for name in names}
+    of_levels = [{frame.name for frame in frames} for frames in levels.frames]
+    keep = min((i for i, own in enumerate(of_levels) if own & copied), default=None)
+    if not dark or any(len(own - copied) > 1 for own in of_levels):
+        keep = None
+    if dark and copied:
+        gone = tuple(
+            frame.name
+            for level, frames in enumerate(levels.frames)
+            for frame in frames
+            if frame.name in copied and level != keep
+        )
+        levels.odd.append(OddFrames(gone, COPIED_DARKS, spare=True))
+        levels.frames[:] = [[one for one in x if one.name not in gone] for x in levels.frames]
+    for names in () if dark else copies.found:
         for level, frames in enumerate(levels.frames):
             places = [i for i, frame in enumerate(frames) if frame.name in names]
             if places:

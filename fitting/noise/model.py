@@ -215,14 +215,14 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
     electrons = jax.vmap(lambda p, lit, t: expected_electrons(values, data, p, lit, t))(
         light[index], data.lit[index], data.exposure[index]
     )
-    step, origin = data.converter.step, data.converter.origin
-    gain, black = values["system_gain"] / step, (values["black_level"] - origin) / step
+    step, lowest = data.converter.step, data.converter.lowest
+    gain, black = values["system_gain"] / step, (values["black_level"] - lowest) / step
     spread = values["offset_spread"] / step if "offset_spread" in values else None
     exact = jax.vmap(
         lambda mu, own: quantised_moments(mu, gain, values["read_noise"], black, own, spread=spread)
     )(electrons, window)
     low = Moments(*(step**power * one for power, one in enumerate(exact[:4], start=1)))
-    low = low._replace(mean=low.mean + origin)
+    low = low._replace(mean=low.mean + lowest)
     if exact.spatial is not None and exact.uneven is not None and exact.die is not None:
         scale = step ** jnp.asarray([1.0, 2.0, 2.0], exact.die.dtype)
         of_pixels = step**2 * exact.spatial, step**4 * exact.uneven

@@ -128,6 +128,34 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     return pattern, by_noise
 
 
+def local_pattern(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[Spread, Spread]:
+    """Return the variance of offsets and of gains between neighbouring pixels, which smoothly
+    uneven light does not increase."""
+    signal = signal_of(measurement)
+    usable = usable[signal[usable] > 0]
+    matched = np.asarray(measurement.dark_of)[usable]
+
+    def of(levels: Levels) -> np.ndarray:
+        assert levels.local_pattern is not None
+        own, frames = np.asarray(levels.local_pattern), np.asarray(levels.frames)
+        rest = np.asarray(levels.variance) / frames
+        # Differences of neighbours have 1.5 times the sampling variance of single pixels.
+        by_noise = 4 * np.maximum(own, 0) * rest + 2 * rest**2 * frames / (frames - 1)
+        return np.stack([own, 1.5 * by_noise / float(levels.pixels)])
+
+    def spread(values: np.ndarray, variances: np.ndarray) -> Spread:
+        weights = 1 / np.maximum(variances, 1e-300)
+        mean = float(np.average(values, weights=weights)) if values.size else 0.0
+        return Spread(mean, float(weights.sum() ** -0.5) if values.size else np.inf, ())
+
+    lit, unlit = of(measurement.bright)[:, usable], of(measurement.dark)
+    square = signal[usable] ** 2
+    gains = (lit[0] - unlit[0, matched]) / square, (lit[1] + unlit[1, matched]) / square**2
+    return spread(*unlit), spread(*gains)
+
+
 def unequal_offsets(dark: Levels) -> tuple[Found, Found]:
     """Return the fixed variance of rows and of columns of the darks, from all exposures
     together."""

@@ -133,6 +133,13 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     of_each = 2 * [(lit + unlit).converter()]
     if {lit.whole, unlit.whole} == {True, False}:  # some were averaged or divided
         of_each = [lit.converter(), unlit.converter()]
+    if (clips_below := unlit.clips_below()) is not None and clips_below > of_each[0].origin:
+        of_each = [replace(one, clips_below=clips_below) for one in of_each]
+        remarks.append(
+            f"No value of the darks is below {clips_below:g} DN, and many pixels have exactly this "
+            "value: it counts as the end of the scale, as after a subtraction whose result was "
+            "clipped. Figures of the standard are biased there."
+        )
     bright, dark = (replace(x, converter=y) for x, y in zip((bright, dark), of_each, strict=True))
     converter = finer(bright, dark)
     if float(bright.pixels) != float(dark.pixels):

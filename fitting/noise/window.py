@@ -69,7 +69,7 @@ def _in_codes(
     variances of these levels, converted from DN to codes of the converter."""
     (data, rows), converter = noise_data(measurement, usable), measurement.converter
     mean, variance = np.asarray(rows)[:, :2].T
-    return data, (mean - converter.origin) / converter.step, variance / converter.step**2
+    return data, (mean - converter.lowest) / converter.step, variance / converter.step**2
 
 
 def needed_window(

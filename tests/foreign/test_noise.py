@@ -802,3 +802,15 @@ def test_the_dark_current_of_clipped_black_blames_no_compensation():
     assert "subtracts dark current" not in told
     assert "because black is clipped" in told
     assert_true({"dark_current": estimates(found)["dark_current"]}, dark_current=20)
+
+
+@pytest.mark.parametrize("lowest", [62, 65])
+def test_black_that_was_clipped_at_a_code_above_0_is_no_lower_read_noise(lowest):
+    """Read noise was 2.91 +- .31 (5), dark current 22.3 +- 2.0 (40)."""
+    found = camera(
+        np.random.default_rng(1), read=6.0, convert=lambda frame: np.maximum(frame, lowest)
+    )
+    assert any(
+        f"No value of the darks is below {lowest} DN" in one for one in section(found).findings
+    )
+    assert_true(estimates(found), read_noise=6.0, system_gain=K, black_level=64.0)

@@ -29,7 +29,17 @@ SENSOR = jv.Sensor(
 SENSOR_OF_UNEQUAL_PIXELS = replace(SENSOR, prnu=0.05, dsnu=20.0)
 
 
-def series(seed, process=lambda one: one(), *, gain=GAIN, size=64, light=1.0, prnu=PRNU, dsnu=DSNU):
+def series(
+    seed,
+    process=lambda one: one(),
+    *,
+    gain=GAIN,
+    size=64,
+    light=1.0,
+    prnu=PRNU,
+    dsnu=DSNU,
+    shading=1.0,
+):
     """Flats and darks of 4 frames; `process` takes a function that takes the next frame."""
     rng = np.random.default_rng(seed)
     gains, offsets = (
@@ -39,7 +49,7 @@ def series(seed, process=lambda one: one(), *, gain=GAIN, size=64, light=1.0, pr
 
     def level(photons, seconds):
         def frame():
-            charge = rng.poisson(EFFICIENCY * photons * gains + CURRENT * seconds)
+            charge = rng.poisson(EFFICIENCY * photons * gains * shading + CURRENT * seconds)
             charge = charge + offsets + READ * rng.normal(size=gains.shape)
             return np.clip(np.round(gain * charge + BLACK), 0, 4095)
 
@@ -175,3 +185,48 @@ def test_a_dark_current_of_temperature_is_that_of_its_temperature():
         predicted(*frames, sensor=s) for s in (SENSOR, replace(SENSOR, dark_current=law))
     )
     assert findings(warm) == findings(plain)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (
+            {"prnu": 0.02},
+            r"gains of neighbouring pixels differ by (2|2\.\d|1\.9) % rms, where .* 1 %",
+        ),
+        ({"prnu": 0.005}, r"gains of the pixels differ by less than 0\.5\d? % rms, where .* 1 %"),
+        (
+            {"dsnu": 6.0},
+            r"offsets of neighbouring pixels differ by (5\.\d|6|6\.\d) e⁻ rms, where .* 2",
+        ),
+    ],
+)
+def test_another_spread_of_gains_or_offsets_is_named(changed, words):
+    """Larger ones also under a light that falls by half, which adds to the spread of a frame."""
+    for light in (1.0, np.linspace(1.0, 0.5, 64))[: 1 + ("less" not in words)]:
+        found = findings(predicted(*series(1, shading=light, **changed)))
+        assert sum("pixels differ" in one for one in found) == 1
+        assert any(re.search(words, one) for one in found)
+
+
+def test_uneven_light_is_no_spread_of_gains():
+    found = findings(predicted(*series(3, shading=np.linspace(1.0, 0.5, 64))))
+    assert not any("pixels differ" in one for one in found)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_means_that_were_rounded_again_are_explained(count):
+    found = predicted(*series(1, lambda one: np.round(np.mean([one() for _ in range(count)], 0))))
+    (missing,) = found.missing
+    assert missing.after["variances"].ratio < 2
+    (number, error) = map(float, re.search(r"means of (\S+) ± (\S+)", missing.clause).groups())
+    assert abs(number - count) < 3 * error
+
+
+@pytest.mark.parametrize("lowest", [62, 65])
+def test_black_that_was_clipped_above_0_is_predicted(lowest):
+    """The camera's own code 0 is below it."""
+    frames = series(1)
+    found = predicted(*([[np.maximum(one, lowest) for one in x] for x in y] for y in frames))
+    assert found.judged.missed == []
+    assert any(f"No value of the darks is below {lowest} DN" in one for one in findings(found))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fitting.codes import Converter, converter_of
+from fitting.codes import Codes, Converter, converter_of
 
 RNG = np.random.default_rng(0)
 LEVELS = [RNG.normal(level, np.sqrt(level), (60, 80)) for level in (64, 200, 500, 1200, 2600)]
@@ -148,3 +148,34 @@ def test_codes_that_a_table_leaves_out_are_missed(changed, missing, size):
     found = converter_of([changed(flat) for flat in flats])
     assert not found.even
     assert found.missing == pytest.approx(missing, abs=0.02)
+
+
+@pytest.mark.parametrize("cut", [-2.0, -1.0, 0.0, 0.5])
+@pytest.mark.parametrize("step", [1, 16])
+def test_a_pile_at_the_smallest_number_of_darks_is_where_black_was_clipped(cut, step):
+    rng, codes = np.random.default_rng(0), Codes()
+    lowest = np.round(64 + 2 * cut)
+    for _ in range(8):
+        codes.add(step * np.maximum(np.round(rng.normal(64.2, 2.0, (64, 64))), lowest))
+    assert codes.clips_below() == step * lowest
+
+
+def test_black_that_is_not_clipped_has_no_pile_at_its_smallest_number():
+    """Quiet or loud, with unequal, hot and cold pixels, few electrons and noise of rows."""
+    rng = np.random.default_rng(0)
+    for i in range(60):
+        noise, codes = 10 ** rng.uniform(-1.2, 1.5), Codes()
+        die = noise * rng.choice([0, 0.3, 1, 3]) * rng.standard_normal((64, 64))
+        die += (
+            10 ** rng.uniform(0, 2)
+            * rng.exponential(size=die.shape)
+            * (rng.random(die.shape) < 0.01)
+        )
+        die -= 3 * noise * (rng.random(die.shape) < 0.05 * (i % 5 == 0))
+        electrons = rng.uniform(0, 3) * (i % 3 == 0)
+        for _ in range(4):
+            frame = rng.uniform(60, 61) + die + noise * rng.standard_normal(die.shape)
+            frame += 10 ** rng.uniform(-2, 1) * rng.poisson(electrons, die.shape)
+            frame += noise * rng.choice([0, 1]) * rng.standard_normal((64, 1))
+            codes.add(np.clip(np.round(frame), 0, 4095))
+        assert codes.clips_below() in (None, 0)

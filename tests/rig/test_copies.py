@@ -1,5 +1,7 @@
 """Copies of an image are named; images that may be equal are not."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -77,3 +79,27 @@ def test_white_frames_with_dead_pixels_say_nothing():
     for name in ("c", "d", "e"):
         copies.add(name, grey)
     assert copies.found == [["c", "d", "e"]]
+
+
+def test_one_set_of_darks_under_all_exposures_gives_no_dark_current():
+    """A dark current of 40 e-/s was 0.00 +- 0.60."""
+    rng = np.random.default_rng(0)
+    levels, times = np.linspace(200, 3000, 7), np.linspace(0.1, 0.7, 7)
+
+    def pair(electrons):
+        return np.round(64 + rng.poisson(electrons, (2, 32, 32)) + rng.normal(0, 2, (2, 32, 32)))
+
+    lit = [pair(level + 40 * t) for level, t in zip(levels, times, strict=True)]
+    darks = [pair(40 * t) for t in times]
+    for given, exposures, names in (
+        ([darks[0]] * 7, times[:1], r"darks\[1\]\[0\], .* and 9 more"),
+        (
+            [*darks[:3], darks[2], *darks[4:]],
+            times[[0, 1, 4, 5, 6]],
+            r"darks\[2\]\[0\], .*\[3\]\[1\]",
+        ),
+    ):
+        found = from_frames(lit, given, list(times), list(levels), camera=Camera(bits=12))
+        np.testing.assert_allclose(found.dark.exposure, exposures)
+        (told,) = found.dark.left_out
+        assert re.match(names + " were left out: they are equal in every pixel to darks", told)

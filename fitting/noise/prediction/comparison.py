@@ -26,7 +26,7 @@ from jaxvision import Sensor
 from jaxvision.errors import InputError
 from jaxvision.sensor import dark_rate
 
-from ..levels import PhotonTransfer
+from ..levels import CLEAR_OF_CLIPPING, PhotonTransfer
 from .moments import (
     QUANTITIES,
     Expected,
@@ -238,10 +238,15 @@ def _expected(
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()
     electrons, slope, by_light = (np.asarray(x) for x in charge_and_step(sensor, lit))
-    near, die = touched_by_ends(sensor, values, electrons), np.zeros((values.size, values.size))
-    if near.any():
-        places = np.flatnonzero(near)
-        moments, own = clipped(sensor, jax.tree.map(lambda x: x[places], lit))
+    cut = (measurement.converter.lowest - origin) / step
+    near = touched_by_ends(sensor, values, electrons, lowest=cut)
+    die = np.zeros((values.size, values.size))
+    dim = near & (cut > 0) & (values[0] - cut < CLEAR_OF_CLIPPING * np.sqrt(values[1]))
+    for some, lowest in ((near & ~dim, 0.0), (dim, cut)):
+        places = np.flatnonzero(some)
+        if not places.size:
+            continue
+        moments, own = clipped(sensor, select_levels(lit, some), lowest=lowest)
         values[:2, places] = moments
         unit = np.repeat([step, step**2], len(places))
         at = np.concatenate([places, places + values.shape[1]])

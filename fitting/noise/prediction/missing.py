@@ -22,6 +22,7 @@ from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
 from .moments import Expected, Lit, noise
 
+ALL_NOISE = "all_noise"  # of processed frames, whose numbers are rounded a second time
 GAIN, BEHIND_GAIN = "gain", ("black_level", "read_noise")  # the latter in DN
 MOST = 4  # most effects that are named
 PRICE = 15.0  # decrease of -2 log likelihood needed for an effect: once in 10,000 by chance
@@ -152,8 +153,8 @@ CANDIDATES = (
         positive=True,
     ),
     Candidate(
-        "all_noise",
-        lambda e, at: (None, e.before_rounding, *e.values[2:]),
+        ALL_NOISE,
+        lambda e, at: (None, *e.values[1:]),
         _all_noise,
     ),
     Candidate(
@@ -277,7 +278,7 @@ TOGETHER = (
     ("compression", "gain"),
     ("compression", "gain", "light"),
     ("filter_along_rows", "filter_along_columns"),
-    ("all_noise", "filter_along_rows", "filter_along_columns"),
+    (ALL_NOISE, "filter_along_rows", "filter_along_columns"),
 )
 
 
@@ -423,6 +424,8 @@ class _Fit:
                 continue
             total = behind if one.key in BEHIND_GAIN else values
             total += float(size) * self._shape_of(one).reshape(values.shape)
+            if one.key == ALL_NOISE:
+                values[1] += found.rounding
             if one.key in lines:
                 lines[one.key] += max(float(size), 0.0)
         self._gain, self._signal = gain, found.signal + values[0] - found.values[0]

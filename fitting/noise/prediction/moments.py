@@ -224,13 +224,15 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
     return jax.vmap(one)(lit)
 
 
-def touched_by_ends(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
+def touched_by_ends(
+    sensor: Sensor, values: np.ndarray, electrons: np.ndarray, *, lowest: float = 0.0
+) -> np.ndarray:
     """Return a mask of the levels that the ends of the scale, the full well or coarse rounding
-    affect."""
+    affect. `lowest` is the first code that occurs."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
     near = np.zeros(mean.shape, bool)
     if sensor.bits is not None:
-        near |= mean < CLEAR_OF_CLIPPING * deviation
+        near |= mean - lowest < CLEAR_OF_CLIPPING * deviation
         near |= mean + CLEAR_OF_CLIPPING * deviation > 2.0 ** float(sensor.bits) - 1
         near |= deviation < DITHERED
     if sensor.full_well is not None:
@@ -239,13 +241,14 @@ def touched_by_ends(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -
 
 
 def clipped(
-    sensor: Sensor, lit: Lit
+    sensor: Sensor, lit: Lit, *, lowest: float = 0.0
 ) -> tuple[Float[np.ndarray, "2 levels"], Float[np.ndarray, "values values"]]:
     """Return mean and variance near the ends of the scale, averaged over the pixels' offsets, and
     the covariance between mean and variance over these offsets. The parts of a pixel's mean and
     variance that are linear or quadratic in its offset do not contribute to this covariance.
     Divided by the number of pixels, it is the sampling covariance of averages over all pixels,
-    between sensors with equal mean and spread of the offsets."""
+    between sensors with equal mean and spread of the offsets. Codes below `lowest` became
+    `lowest`."""
     every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
     spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
     spread *= 1.0 if sensor.gain is None else float(sensor.gain)
@@ -253,7 +256,8 @@ def clipped(
     places = np.linspace(-REACHED, REACHED, count + 1) if count > 1 else np.zeros(1)
     weights = np.exp(-(places**2) / 2)
     weights /= weights.sum()
-    found = np.asarray(_clipped(sensor, lit, spread * places))
+    found = np.array(_clipped(sensor, lit, spread * places - lowest))
+    found[:, 0] += lowest
     mean = np.tensordot(weights, found, 1)
     left = (found - mean).reshape(len(places), -1)
     root = np.sqrt(weights)[:, None]

@@ -25,7 +25,7 @@ from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
-from ..pattern import fitted_pattern
+from ..pattern import fitted_pattern, local_pattern
 from ..raw_frames import processing_in_words
 from ..sensor import bits_of, fitted_sensor
 from ..sites import camera_of_taps, stated_in_words, tap_of, tap_sensor
@@ -36,6 +36,9 @@ DRAWS = 200  # draws of a camera file that are used for its uncertainty
 LEAST = 3  # levels, beyond the number of a curve's terms, that half of the levels must have
 NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
 OFFSETS, GAINS = ("dsnu", "row_dsnu", "column_dsnu"), ("prnu", "conversion_prnu", "column_prnu")
+CORRECTED = {"offsets": "after a dark frame was subtracted", "gains": "after a division by a flat"}
+OTHER_CAUSES = {"offsets": " or a warmer one", "gains": ", or the light is not smooth"}
+LEAST_OFFSETS, LEAST_GAINS = 0.5, 0.005  # of the dark noise, and relative, that are named
 LEAST_PATTERN = 0.7  # of the stated rms of a fixed pattern, below which frames were corrected
 MOST_AVERAGED = 256  # frames or pixels
 CLEAR = 3.0  # standard deviations of a dark from the first code
@@ -228,7 +231,7 @@ def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
     current = 0.0 if camera.dark_current is None else float(dark_rate(camera.dark_current))
     seen, stated = mean - black, step * gain * current * time
     near = CLEAR * max(noise, step)
-    if mean - converter.origin < near < black - converter.origin and noise > 0:
+    if converter.clips_below is None and mean - converter.origin < near < black - converter.origin:
         return (
             f"The darks have a mean of {mean:.3g} DN, where the camera has a black level of "
             f"{black:.4g} DN: black was subtracted, and numbers below 0 became 0."
@@ -245,22 +248,36 @@ def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
 def _pattern_in_words(
     camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """Return sentences on a fixed pattern that is much smaller than that of the camera. A larger
-    one may be uneven light."""
-    if measurement.bright.spatial_variance is None:
+    """Return sentences on a fixed pattern that is much smaller or larger than that of the camera.
+    A larger one is that of neighbouring pixels, to which smoothly uneven light does not add."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.spatial_variance is None or bright.local_pattern is None:
         return []
-    found, sentences = fitted_pattern(measurement, usable), []
+    found, local = fitted_pattern(measurement, usable), local_pattern(measurement, usable)
+    noise, sentences = np.sqrt(np.asarray(dark.variance)), []
     gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
-    for what, fields, seen, scale, unit, how in (
-        ("offsets", OFFSETS, found.dark, 1 / gain, " e⁻", "after a dark frame was subtracted"),
-        ("gains", GAINS, found.response, 100.0, " %", "after a division by a flat"),
-    ):
+    kinds = (
+        ("offsets", OFFSETS, found.dark, 1 / gain, " e⁻", LEAST_OFFSETS * float(noise.min())),
+        ("gains", GAINS, found.response, 100.0, " %", LEAST_GAINS),
+    )
+    for kind, own in zip(kinds, local, strict=True):
+        what, fields, seen, scale, unit, least = kind
+        if fields is OFFSETS and np.any(dark.mean - measurement.converter.lowest < CLEAR * noise):
+            continue  # clipped black hides a part of the offsets
         stated = _rms_of(camera, fields) * (1.0 if unit == " e⁻" else scale)
-        most = scale**2 * (max(seen.variance, 0.0) + PATTERN_SIGMAS * seen.noise)
-        if most < (LEAST_PATTERN * stated) ** 2:
+        says = f"where the camera states {f'{stated:.2g}{unit}' if stated else 'none'}"
+        most = scale * (max(seen.variance, 0.0) + PATTERN_SIGMAS * seen.noise) ** 0.5
+        at_least = scale * max(own.variance - PATTERN_SIGMAS * own.noise, 0.0) ** 0.5
+        if most < LEAST_PATTERN * stated:
             sentences.append(
-                f"The {what} of the pixels differ by less than {most**0.5:.2g}{unit} rms, where "
-                f"the camera states {stated:.2g}{unit}, as {how} or in means of several pixels."
+                f"The {what} of the pixels differ by less than {most:.2g}{unit} rms, {says}, as "
+                f"{CORRECTED[what]} or in means of several pixels."
+            )
+        elif LEAST_PATTERN * at_least > max(stated, scale * least):
+            rms = scale * own.variance**0.5
+            sentences.append(
+                f"The {what} of neighbouring pixels differ by {rms:.2g}{unit} rms, {says}: it is "
+                f"another sensor{OTHER_CAUSES[what]}."
             )
     return sentences
 
