@@ -33,18 +33,20 @@ from .sums import Sums, pictured, sent
 
 EMITTED = 1  # segments of a path from an emitter: surface to eye
 DIRECT = 2  # segments of a path of direct light: light to surface, surface to eye
+_ORDERED = 2**16  # pairs of surfaces up to which the brightest senders are taken first
 _EXACT_LENGTHS = 16  # segments up to which every path length is tried
 _REMAINDER = 1e-12  # relative remainder at which a sum is truncated
 _MAX_SEGMENTS = 400  # segments after which a sum that has not converged has no bound
 
 
-def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
+def bounce_rows(onward: "Onward") -> tuple[Row, ...]:
     """Return a `Row` "bounces" for each of several limits n on the number of path segments,
     smallest n first. The bound of the `Row` is on the radiance of all paths of more than n
-    segments, in W m^-2 sr^-1. The result is empty for direct light (`depth` None)."""
+    segments, in W m^-2 sr^-1. The result is empty for direct light."""
+    sums, depth = onward.sums, onward.depth
     if depth is None:
         return ()
-    onward, wanted = Onward(sums, depth), shorter(depth)
+    wanted = shorter(depth)
     emitted, lit = (
         onward.tails(light, [pieces - own + 1 for pieces in wanted], depth - own)
         for light, own in ((sums.own, EMITTED), (onward.lamps, DIRECT))
@@ -124,6 +126,11 @@ class Onward:
         return cells + total[self.sums.cells.surface]
 
     @cached_property
+    def norm(self) -> float:
+        """The norm of the operator T."""
+        return self.transport.norm
+
+    @cached_property
     def lamps(self) -> np.ndarray:
         """A bound, (n, bands) W m^-2 sr^-1, on the light of lamps that each surface reflects."""
         found = np.zeros_like(self.sums.own)
@@ -157,8 +164,14 @@ class Onward:
         return gathered(self.transport.of_lobes[i : i + 1], self.earlier)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
-        """Return the sum of T^k `sent` over k from 1 to `last`, (n, bands)."""
-        return self.tails(sent, [1], last)[0]
+        """Return the sum of T^k `sent` over k from 1 to `last`, (n, bands). In a large scene all
+        terms from the second on are bounded by the norm of T."""
+        if self.transport.factors.size <= _ORDERED or last < 2:
+            return self.tails(sent, [1], last)[0]
+        once, t = self.transport.once(sent), self.norm
+        with np.errstate(over="ignore"):
+            more = last - 1 if t == 1 else t * (1 - np.float64(t) ** (last - 1)) / (1 - t)
+        return once + times(once.max(0), more)
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
         """Return, for each of the f starts in `firsts`, the sum of T^k `sent` over k from the start
@@ -166,7 +179,7 @@ class Onward:
         norm. So if t < 1, all later terms sum to at most t / (1 - t) times the maximum of the
         current term."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
-        t = self.transport.norm
+        t = self.norm
         for k in range(1, min(last, _MAX_SEGMENTS) + 1):
             sent = self.transport.once(sent)
             whole = whole + sent
@@ -191,7 +204,11 @@ def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
     """Return an upper bound on the light that arrives at each of i receiving surfaces, (i, bands),
     from n sending surfaces of radiance `sent`, (n, bands). The share of the received light that
     comes from each sender is at most `shares`, (i, n). The shares of one receiver sum to at most 1.
-    The bound assigns shares to the brightest senders first."""
+    The bound assigns shares to the brightest senders first. In a large scene the bound is the sum
+    of all shares, or the brightest sender if that is less."""
+    if shares.size > _ORDERED and np.isfinite(sent).all():
+        lit = sent.any(axis=1)
+        return np.minimum(shares[:, lit] @ sent[lit], sent.max(0))
     found = np.zeros((len(shares), sent.shape[1]))
     for band, own in enumerate(sent.T):
         order = np.argsort(-own)

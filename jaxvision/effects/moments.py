@@ -28,9 +28,9 @@ def scene_rows(
     lights and bands by index.
     """
     depth, caustics, motion = method.depth, method.caustics, method.motion
-    rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
+    rows, arriving, onward = scene_stage(scene, view, depth=depth, caustics=caustics)
     if motion is None or sensor.exposure_time is None:
-        further = bounce_rows(sums, depth)
+        further, sums = bounce_rows(onward), onward.sums
         if depth is None:
             bodies = tuple(unmet_rows(scene, sums))
             rows = (*with_owners(rows, bodies), *bodies)

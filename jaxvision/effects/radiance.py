@@ -43,10 +43,10 @@ _REST = 0.02  # the same for every other effect
 
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
-) -> tuple[tuple[Row, ...], Arriving, Sums]:
+) -> tuple[tuple[Row, ...], Arriving, Onward]:
     """Return a `Row` for every effect of a scene over the range of its free parameters. Also return
     bounds on the light at the camera, in W m^-2 sr^-1, and the suprema from which all bounds
-    follow.
+    follow, with their reflections.
 
     `depth` is the largest number of path segments, or None for direct light, as in `render`. With
     `caustics`, paths also start at the lights.
@@ -78,7 +78,7 @@ def scene_stage(
         ambient(scene, sums, onward),
     ]
     found = Arriving(top(sums, onward), *depths(sums), lens_spread_bound(sums, onward))
-    return tuple(rows), found, sums
+    return tuple(rows), found, onward
 
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:

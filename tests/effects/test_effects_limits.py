@@ -9,7 +9,7 @@ import pytest
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects import seconds
+from jaxvision.effects import bounces, seconds
 from jaxvision.lights.rectangle import _small_light as small_light
 from jaxvision.rendering import render
 
@@ -188,3 +188,22 @@ def test_a_blur_below_a_tenth_of_a_pixel_stays_at_a_tolerance_of_zero():
         left = effects.prune(scene, view, tolerance, level=1.0, samples=samples)
         assert type(left.camera) is kind
     assert left.certificate.place == pytest.approx(pixels, rel=1e-6)
+
+
+def test_bounds_of_paths_in_a_large_scene_are_quick_and_no_smaller(monkeypatch):
+    """With 270 balls, shares are added up without their order, and the tail follows the norm."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform(-1, 1, (270, 2))
+    glossy = jv.Phong([0.1], [0.2], 20.0)
+    balls = [
+        jv.Surface(jv.Sphere([x, y, 0.1], 0.03), glossy if k % 90 == 0 else GREY)
+        for k, (x, y) in enumerate(places)
+    ]
+    scene = jv.Scene([FLOOR, *balls], [POINT])
+    quick = effects.inspect(scene, VIEW, depth=5)
+    monkeypatch.setattr(bounces, "_ORDERED", np.inf)
+    slow = effects.inspect(scene, VIEW, depth=5)
+    ratios = [one.bound / other.bound for one, other in zip(quick, slow, strict=True) if one.bound]
+    assert len(ratios) > 7
+    assert min(ratios) > 1 - 1e-9
+    assert max(ratios) < 1.5

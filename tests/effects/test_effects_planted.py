@@ -13,7 +13,7 @@ import jaxvision as jv
 from jaxvision import effects
 from jaxvision import scene as s
 from jaxvision.development import develop
-from jaxvision.effects.bounces import bounce_rows
+from jaxvision.effects.bounces import Onward, bounce_rows
 from jaxvision.effects.cells import eye_of
 from jaxvision.effects.development import lipschitz
 from jaxvision.effects.optics import optics_stage
@@ -38,7 +38,7 @@ def test_of_bounces_in_a_closed_sphere():
     scene = jv.Scene(wall, [])
     view = jv.Pinhole([0, 0, 0], DOWN, 0.05, 0.01, resolution=(4, 4))
     sums = sums_of(Ends(scene, scene), eye_of(Ends(view, view)), bounces=True)
-    for pieces, row in enumerate(bounce_rows(sums, depth), 2):
+    for pieces, row in enumerate(bounce_rows(Onward(sums, depth)), 2):
         assert caught(sum(0.5 * 0.7**k for k in range(pieces, depth)), row.effect.bound)
 
 

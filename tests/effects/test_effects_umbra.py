@@ -88,8 +88,9 @@ def test_a_wall_hides_what_is_behind_it_from_the_eye(size, seen):
     floor = jv.Surface(jv.Quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), GREY)
     up = jv.RectangleLight([-0.2, -0.2, 1], [0.4, 0, 0], [0, 0.4, 0], [1.0])
     scene = jv.Scene([wall, floor], [up, jv.PointLight([0, 0, 1.5], [1.0])])
-    rows, _, sums = scene_stage(Ends(scene, scene), Ends(VIEW, VIEW))
+    rows, _, onward = scene_stage(Ends(scene, scene), Ends(VIEW, VIEW))
     assert ("may be seen" in rows[0].effect.why) == seen
+    sums = onward.sums
     assert sums.seen[sums.cells.surface == 1].any() == seen
     assert sums.seen[sums.cells.surface == 0].any()
 
