@@ -15,7 +15,7 @@ from ..inference.given import require_kind
 from ..inference.parameters import names
 from ..inference.posterior import Posterior
 from ..inference.precision import double_precision
-from ..reflectance.from_images.calibration import CORRELATED, ENCODED, NO_GAMMA, encoded_fit
+from ..reflectance.from_images.calibration import CORRELATED, NO_GAMMA, encoded_fit
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, fit_channel, robust
 from ..reflectance.from_images.optimum import weighed
 from ..reflectance.from_images.pixel_area import recognise_points
@@ -104,9 +104,8 @@ def calibrate(
     observation = without_strangers(measurement)
     channels = len(observation.channels)
     brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
-    if not fit_gamma and _encoded(observation, brightest, Form(model, index=index)):
-        fit_gamma = True
-        observation = replace(observation, findings=(ENCODED, *observation.findings))
+    if not fit_gamma:
+        observation, fit_gamma = _encoded(observation, brightest, Form(model, index=index))
     form = Form(model, free_gamma=fit_gamma, index=index)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 
@@ -136,10 +135,10 @@ def calibrate(
     return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
 
 
-def _encoded(observation: Photographs, channel: int, form: Form) -> bool:
-    """Return whether least-squares fits of one channel show that its files are encoded. A curve
-    other than a pure gamma is refused: black level and exponent would describe it with a biased
-    surface.
+def _encoded(observation: Photographs, channel: int, form: Form) -> tuple[Photographs, bool]:
+    """Return the photographs, decoded if they are in sRGB, and whether to fit an exponent, by
+    least-squares fits of one channel. Another curve is refused: black level and exponent would
+    describe it with a biased surface.
     """
     chosen = select(observation, held_out=False, form=form)
     cells, view = cells_of(observation, chosen), View(observation, channel, chosen)
@@ -147,9 +146,12 @@ def _encoded(observation: Photographs, channel: int, form: Form) -> bool:
     models = (form, *(replace(form, model=name) for name in matt if name != form.model))
     linear = (fit_channel(view, one, cells) for one in models)
     found = encoded_fit(view, form, linear, cells)
-    if found is not None and found.design_effect > CORRELATED:
+    if found is None:
+        return observation, False
+    observation, trial = found
+    if trial.design_effect > CORRELATED:
         raise InputError(f"{NO_GAMMA}.")
-    return found is not None
+    return observation, trial.form.free_gamma
 
 
 def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.core.side_by_side import side_by_side
 from jaxvision.errors import InputError
+from jaxvision.point_ops import srgb_decode, srgb_encode
 
 from ...inference.diagnostics import OPEN_LOG_SD
 from ...inference.emcee_run import Emcee, Progress
@@ -37,10 +38,17 @@ ENCODED = (
     "gamma: no model of linear files describes them half as well. State camera.gamma where it is "
     "known (1 for linear files)."
 )
-NO_GAMMA = (
-    "the files seem to be encoded, and not by a pure gamma (sRGB pictures are not): decode them, "
-    "or state camera.gamma"
+SRGB = (
+    "The files are taken as sRGB and were decoded, although the rig does not say so: no model of "
+    "linear files describes them half as well, and no pure gamma as well. State camera.gamma where "
+    "it is known (1 for linear files)."
 )
+NO_LEVELS = "Flats and darks, which are encoded too, were not used."
+NO_GAMMA = (
+    "the files seem to be encoded, and neither by a pure gamma nor as sRGB: decode them, or state "
+    "camera.gamma"
+)
+CLOSER = 0.9  # ratio of errors from which sRGB describes files better than a fitted exponent
 CORRELATED = 1.5  # design effect from which a pure gamma does not describe encoded files
 NEGLIGIBLE = 40.0  # fall of ln k_s after which no highlight is left
 USUAL: tuple[Model, ...] = (
@@ -140,7 +148,7 @@ def calibrate(
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
     check_index(index)
-    given, observation = observation, without_strangers(observation)
+    observation = without_strangers(observation)
     forms: dict[Model, Form] = {
         name: Form(name, ambient, fit_gamma, index)
         for name in MODELS
@@ -171,45 +179,36 @@ def calibrate(
             progress(0, len(pieces))  # the first model may take seconds to compile
         return dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
 
-    every = range(len(observation.channels))
     brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
-    fits: dict[Model, tuple[ChannelFit, ...]]
-    if observation.within is None:
-        fits = fit_models(observation, every)
-    else:
+    first = fit_models(observation, [brightest])
+    encoding = None
+    if not fit_gamma:
+        linear = [of_model[0] for of_model in first.values()]
+        view = View(observation, brightest, fitted)
+        encoding = encoded_fit(view, forms[model], linear, cells)
+    if encoding is not None:
+        observation, trial = encoding
+        free = trial.form.free_gamma
+        forms = {name: replace(form, free_gamma=free) for name, form in forms.items()}
         first = fit_models(observation, [brightest])
+    if observation.within is not None:
         fit = max((of_model[0] for of_model in first.values()), key=lambda x: x.log_likelihood)
         observation = recognise_points(observation, fit.vector, fit.samples, fitted.light)
         if observation.within is None:
-            fits = fit_models(observation, every)
-        elif len(every) == 1:
-            fits = first
-        else:
-            rest = fit_models(observation, [i for i in every if i != brightest])
-            fits = {
-                name: (*others[:brightest], *first[name], *others[brightest:])
-                for name, others in rest.items()
-            }
-    linear = [of_model[brightest] for of_model in fits.values()]
-    view = View(observation, brightest, fitted)
-    if not fit_gamma and encoded_fit(view, forms[model], linear, cells) is not None:
-        found = calibrate(
-            replace(given, findings=(ENCODED, *given.findings)),
-            model=model,
-            compare_all=compare_all,
-            index=index,
-            sampling=sampling,
-            seed=seed,
-            ambient=ambient,
-            fit_gamma=True,
-            minimum_cosine=minimum_cosine,
-            progress=progress,
-        )
-        return _without_curved(found)
+            first = fit_models(observation, [brightest])
+    fits: dict[Model, tuple[ChannelFit, ...]] = first
+    rest = [i for i in range(len(observation.channels)) if i != brightest]
+    if rest:
+        fits = {
+            name: (*others[:brightest], *first[name], *others[brightest:])
+            for name, others in fit_models(observation, rest).items()
+        }
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)
     }
+    if encoding is not None:
+        reasons |= _reasons_of_curved(fits[model])
     return ReflectanceCalibration(
         observation=observation,
         model=model,
@@ -229,33 +228,78 @@ def calibrate(
 
 def encoded_fit(
     view: View, form: Form, linear: Iterable[ChannelFit], cells: Grouping
-) -> ChannelFit | None:
-    """Return the fit with a free exponent if images without a stated gamma are encoded: with an
-    exponent far from 1, the model errs less than half as much as every model of linear files. A
-    rough surface, whose shading is flat too, has models of its own among the latter.
+) -> tuple[Photographs, ChannelFit] | None:
+    """Return the photographs and the fit of encoded files if images without a stated gamma are
+    encoded: the model errs less than half as much as every model of linear files if they are
+    decoded as sRGB, or with a fitted exponent far from 1. A rough surface, whose shading is flat
+    too, has models of its own among the latter.
     """
-    if view.observation.camera.gamma is not None:
+    observation = view.observation
+    if observation.camera.gamma is not None:
         return None
     least = np.inf
     for fit in linear:
         least = min(least, relative_rms(fit.by_light) or 0.0)
         if least < LINEAR_ERROR:
             return None
-    trial = fit_channel(view, replace(form, free_gamma=True), cells)
-    closer = (relative_rms(trial.by_light) or 0.0) < least / 2
-    return trial if trial.converged and closer and trial.natural[-1] > LEAST_EXPONENT else None
+    decoded = _decoded_from_srgb(observation)
+    of_srgb = fit_channel(replace(view, observation=decoded), form, cells)
+    power = fit_channel(view, replace(form, free_gamma=True), cells)
+    error = relative_rms(power.by_light) or 0.0
+    if not power.converged or power.natural[-1] < LEAST_EXPONENT:
+        error = np.inf
+    if of_srgb.converged and _error_in_srgb(of_srgb) < min(least / 2, CLOSER * error):
+        unused = (NO_LEVELS,) if observation.levels else ()
+        trial, observation, said = of_srgb, decoded, (SRGB, *unused)
+    elif error < least / 2:
+        trial, said = power, (ENCODED,)
+    else:
+        return None
+    observation = replace(observation, findings=(*said, *observation.findings))
+    if observation.within is not None:
+        observation = recognise_points(
+            observation, trial.vector, trial.samples, view.selection.light
+        )
+        if observation.within is None:
+            trial = fit_channel(replace(view, observation=observation), trial.requested, cells)
+    return observation, trial
 
 
-def _without_curved(found: ReflectanceCalibration) -> ReflectanceCalibration:
-    """Return a calibration of encoded images without the numbers of channels in which a pure gamma
-    leaves correlated residuals, as it does for sRGB pictures: their error is in no interval."""
-    curved = [fit for fit in found.reported if fit.design_effect > CORRELATED]
-    names = [parameter.name for parameter in parameter_space(found.reported[0].requested)]
-    reasons = found.open_parameters | {
-        fit.channel: dict.fromkeys(names, NO_GAMMA) for fit in curved
-    }
-    kept = {name: p for name, p in found.posteriors.items() if not reasons[name]}
-    return replace(found, open_parameters=reasons, posteriors=kept)
+def _decoded_from_srgb(observation: Photographs) -> Photographs:
+    """Return photographs whose digital numbers are decoded by the inverse of the sRGB curve."""
+    black, white = observation.black, observation.white
+
+    def linear(dn: np.ndarray | float) -> np.ndarray:
+        return black + white * np.asarray(srgb_decode(np.clip((dn - black) / white, 0, 1)))
+
+    of_noise = {"gain": None, "read_noise": None}  # of encoded numbers
+    return replace(
+        observation,
+        dn=linear(observation.dn),
+        clip=float(linear(observation.clip)),
+        camera=observation.camera.model_copy(update={"gamma": 1.0} | of_noise),
+        levels=None,
+        **of_noise,
+    )
+
+
+def _error_in_srgb(fit: ChannelFit) -> float:
+    """Return the relative RMS error of a fit to decoded images in their encoded digital numbers."""
+    samples = fit.samples
+    trusted = samples.dn < samples.clip
+    predicted, measured = (
+        np.asarray(srgb_encode(np.maximum(dn[trusted] - samples.black, 0) / samples.white))
+        for dn in (predict(fit.vector, samples).dn, samples.dn)
+    )
+    return float(np.sqrt(np.sum((predicted - measured) ** 2) / np.sum(measured**2)))
+
+
+def _reasons_of_curved(fits: Sequence[ChannelFit]) -> dict[str, dict[str, str]]:
+    """Return the reasons why channels of encoded images have no numbers, if their curve leaves
+    correlated residuals: its error is in no interval."""
+    names = [parameter.name for parameter in parameter_space(fits[0].requested)]
+    curved = [fit.channel for fit in fits if fit.design_effect > CORRELATED]
+    return {channel: dict.fromkeys(names, NO_GAMMA) for channel in curved}
 
 
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
