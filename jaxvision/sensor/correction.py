@@ -13,7 +13,7 @@ all frames, and partly cancel in the difference of two frames.
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -38,6 +38,7 @@ from ..core._types import (
 )
 from ..filters.convolution import convolve
 from ..scene import Camera, Sensor, ShutterOffset
+from . import _processed
 from ._taps import factored, tap_map, total_gain
 from .adc import amplified, largest_number
 from .brighter_fatter import gathered
@@ -51,12 +52,13 @@ from .exposure import (
     mean_photoelectrons,
     smeared,
 )
-from .moments import QUANTISATION_VARIANCE, Moments, signal_variance
+from .moments import QUANTISATION_VARIANCE, Moments, pattern_variance, signal_variance
 from .nonlinearity import charge_of_signal, signal_of_charge
 from .read_out import read_out_variance
 from .sampling import light_share
 
 FAR = 4.0  # a pixel may be full, dead or dark if it is within so many standard deviations of noise
+MOST_BELOW, FEWEST_BELOW = 0.01, 10  # share and number of pixels far below black: defects are fewer
 DEAD = 0.1  # a pixel whose flat is within the noise is dead below this relative sensitivity
 
 Along = Literal["pixels", "rows", "columns", "frame", "all"]
@@ -311,8 +313,9 @@ def correct(
             differs from the frames', and a flat that is saturated throughout.
 
     Warns:
-        UserWarning: for a dark master that differs much from the dark signal of the camera, and for
-            raw numbers below those without light, unless traced.
+        UserWarning: unless traced, for a dark master that differs much from the dark signal of the
+            camera; for raw numbers below those without light, above the last code or not whole;
+            for a frame with much less noise than the camera, or without the masters' pattern.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -333,7 +336,7 @@ def correct(
     if expected is not None and expected.ndim > 0:
         check_shape("correct: expected", expected, ("...", *raw.shape[-3:]))
     measured = raw = as_float(raw)  # codes are unsigned, and would wrap
-    _warn_of_raw(sensor, raw, masters.dark)
+    stated = masters
     masters = _add_defects_of_flat(sensor, masters)
     if masters.defects is not None:  # neighbours are unmixed from the mean of those around
         raw, masters = _fill(raw, masters.defects), _fill_masters(masters, masters.defects)
@@ -360,7 +363,9 @@ def correct(
         bad = bad | _broadcast(masters.defects[..., None], raw)
     if masters.dark is not None:
         _warn_of_dark(sensor, masters.dark)
-    return Calibrated(jnp.where(bad, jnp.nan, image), tuple(parts), saturated)
+    found = Calibrated(jnp.where(bad, jnp.nan, image), tuple(parts), saturated)
+    _warn_of_raw(sensor, found, measured, stated)
+    return found
 
 
 def _find_saturated(sensor: Sensor, raw: Counts) -> Bool[Array, "..."] | None:
@@ -408,22 +413,92 @@ def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
     return replace(masters, defects=bad if masters.defects is None else masters.defects | bad)
 
 
-def _warn_of_raw(sensor: Sensor, raw: Counts, dark: Master | None) -> None:
-    """Warn if the mean of the raw numbers is below that of a dark frame by much more than the
-    noise."""
-    if not is_known(raw):
+def _warn(words: str) -> None:
+    """Warn at the line that calls `correct`."""
+    warnings.warn(words, stacklevel=5)
+
+
+def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Masters) -> None:
+    """Warn of raw numbers that are not those of a single frame of the camera: they are no codes of
+    its converter, lie below black, or lack its noise or the pattern of the masters."""
+    if not all(map(is_known, jax.tree.leaves((sensor, found, raw, masters)))):
         return
-    black = jnp.zeros(raw.shape[-3:], raw.dtype)
-    stated = amplified(sensor, mean_dark(sensor, black) + black) if dark is None else dark.mean
-    found, expected = jnp.nanmean(raw), jnp.mean(stated)
-    noise = jnp.sqrt(jnp.mean(signal_variance(sensor, black)))
-    if is_known(expected - noise) and found < expected - FAR * noise:
-        warnings.warn(
-            f"raw has a mean of {float(found):.4g} DN, below the {float(expected):.4g} DN without "
-            "light; give the numbers as the camera wrote them, neither divided by their largest "
-            "number, nor of fewer bits, nor without the black level.",
-            stacklevel=4,
+    unlit = jnp.zeros(raw.shape[-3:], raw.dtype)
+    of_dark = signal_variance(sensor, unlit)
+    if masters.dark is None:
+        black = amplified(sensor, mean_dark(sensor, unlit) + unlit)
+        spread = jnp.sqrt(of_dark + pattern_variance(sensor, unlit))
+    else:
+        black, spread = masters.dark.mean, jnp.sqrt(of_dark)
+    mean, expected, smallest, largest = map(
+        float, (jnp.nanmean(raw), jnp.mean(black), jnp.nanmin(raw), jnp.nanmax(raw))
+    )
+    below = int(jnp.sum(raw < _broadcast(black - FAR * spread, raw)))
+    if (
+        mean < expected - FAR * float(jnp.mean(spread))
+        or below > max(MOST_BELOW * raw.size, FEWEST_BELOW)
+        or (sensor.bits is not None and smallest < 0)
+    ):
+        _warn(
+            f"raw has a mean of {mean:.4g} DN and {below} of {raw.size} numbers below the "
+            f"{expected:.4g} DN without light, by more than noise; give the numbers as the camera "
+            "wrote them, neither divided by their largest number, nor of fewer bits, nor without "
+            "the black level or a dark frame; and the exposure time in seconds."
         )
+        return
+    codes, top = _processed.middle(raw), np.inf
+    if sensor.bits is not None:
+        top = float(largest_number(sensor.bits))
+        if largest > top:
+            _warn(
+                f"raw has numbers up to {largest:.6g}, where {float(sensor.bits):g} bits end at "
+                f"{top:g}; divide numbers that are aligned at the left, and give single frames "
+                "before any correction, not their sums."
+            )
+        elif not np.array_equal(codes, np.round(codes), equal_nan=True):
+            _warn(
+                "raw has numbers that are not whole, as means of frames or corrected frames have; "
+                "the stated errors are those of a single raw frame."
+            )
+    dark = _processed.middle(of_dark + unlit)
+    own = [part for part in found.parts if not part.lasts and part.along == "pixels"]
+    if own and top > 1:
+        variance = sum(map(_variance, own), jnp.zeros_like(found.image))
+        share = _processed.noise_ratio(*map(_processed.middle, (found.image, variance)), codes)
+        if share < _processed.LESS_NOISE:
+            _warn(
+                f"the noise of raw, at its smoothest, has {share:.2g} of the variance that the "
+                "camera states, as in means of frames or pixels, in denoised or scaled copies, in "
+                "those of fewer bits, or at a lower gain; the errors are not those of such frames, "
+                "and the electrons are wrong if the numbers were scaled."
+            )
+    for name, *planes in _patterns(found, masters, codes, dark):
+        if _processed.lacks(*planes):
+            _warn(
+                f"raw lacks the pattern of masters.{name}: it was corrected by a {name} frame "
+                "before, or the master is of another camera, region or binning; give raw frames, "
+                "and masters of the same pixels."
+            )
+
+
+def _patterns(
+    found: Calibrated, masters: Masters, codes: np.ndarray, of_dark: np.ndarray
+) -> Iterator[tuple[Any, ...]]:
+    """Yield the name of each master, the frame that must contain its pattern, this pattern with the
+    variance of its error, and the weight of each pixel."""
+    if masters.dark is not None:
+        dark = _processed.middle(masters.dark.mean)
+        yield "dark", codes, dark, of_dark / float(masters.dark.frames), np.ones_like(codes)
+    errors = [part.amplitude for part in found.parts if part.name == "flat"]
+    if masters.flat is not None and errors:
+        flat, image = masters.flat.mean, found.image
+        if masters.dark is not None:
+            flat = flat - masters.dark.mean
+        flat, image, error = map(_processed.middle, (flat, image, errors[0]))
+        lit = (flat > 0) & (image > FAR * np.abs(error))
+        flat, image = (np.where(lit, x, np.nan) for x in (flat, image))
+        pattern = np.log(flat)
+        yield "flat", np.log(image) + pattern, pattern, np.square(error / image), np.sqrt(image)
 
 
 def _warn_of_dark(sensor: Sensor, dark: Master) -> None:

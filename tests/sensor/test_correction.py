@@ -1,6 +1,8 @@
 """`correct` undoes a camera: against the light that went in, naive NumPy, and the errors that it
 states, by simulated frames."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import jax
@@ -436,3 +438,89 @@ def test_numbers_of_another_scale_are_warned_of(scale):
     with pytest.warns(UserWarning, match="below the 200 DN without light"):
         js.correct(raw * scale, sensor)
     js.correct(raw, sensor)
+
+
+def processed_frames():
+    """Of a camera: frames of a smooth scene, and masters of 64 frames, by naive NumPy."""
+    rng, shape = np.random.default_rng(0), (96, 96)
+    gains, offsets = 1 + 0.01 * rng.normal(size=shape), 2 * rng.normal(size=shape)
+    light = np.linspace(50, 8000, 96) * np.ones(shape)
+
+    def frame(electrons):
+        charge = rng.poisson(electrons * gains + 2.0) + offsets + 5 * rng.normal(size=shape)
+        return np.clip(np.round(0.4 * charge + 64), 0, 4095)
+
+    dark, flat = (sum(frame(e * np.ones(shape)) for _ in range(64)) / 64 for e in (0, 4000))
+    return lambda: frame(light), dark, flat
+
+
+def told_of(raw, **of):
+    parts = {"read_noise": 5.0, "prnu": 0.01, "dsnu": 2.0, "dark_current": 40.0}
+    sensor = jv.Sensor(
+        shot_noise=jv.PoissonShotNoise(),
+        gain=0.4,
+        offset=64.0,
+        bits=12,
+        exposure_time=0.05,
+        **parts,
+    )
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        js.correct(np.asarray(raw)[..., None], sensor, **of)
+    assert all(one.filename == __file__ for one in told)
+    return " ".join(str(one.message) for one in told)
+
+
+def test_frames_that_were_processed_are_warned_of():
+    frame, dark, flat = processed_frames()
+    masters = jv.Masters(dark=js.Master(dark[..., None], 64), flat=js.Master(flat[..., None], 64))
+    assert told_of(frame()) == told_of(frame(), masters=masters) == ""
+    mean = np.mean([frame() for _ in range(4)], axis=0)
+    share = r"at its smoothest, has 0\.\d+ of the variance"
+    assert "not whole, as means of frames" in told_of(mean)
+    assert re.search(share, told_of(np.round(mean)))
+    assert re.search(share, told_of(np.round(frame().reshape(48, 2, 48, 2).mean((1, 3)))))
+    assert re.search(share, told_of(np.round(32 + frame() / 2)))  # half the gain
+    assert "numbers below the" in told_of(frame() // 16)
+    assert "numbers below the" in told_of(np.maximum(frame() - 64, 0))
+    assert "numbers below the" in told_of(np.round(frame() - dark))
+    assert "12 bits end at 4095" in told_of(16 * frame())
+    response = (flat - dark) / np.mean(flat - dark)
+    corrected = np.round(64 + (frame() - 64) / response)
+    assert "lacks the pattern of masters.flat" in told_of(corrected, masters=masters)
+    dim = np.round(64 + 0.1 * (frame() - 64) - dark + 64)
+    assert "lacks the pattern of masters.dark" in told_of(dim, masters=masters)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_raw_frames_of_cameras_are_not_warned_of(seed):
+    """Dim and bright, with row noise, dark current, a curve, mixing or a well, over four scenes."""
+    rng, size = np.random.default_rng(seed), 64
+    gain = 10 ** rng.uniform(-1.5, 0.7)
+    some = {
+        "row_noise": 5.0,
+        "nonlinearity": jv.Compression(0.05, electrons=4095 / gain),
+        "mixing": jv.Mixing(jnp.asarray([[0, 0.01, 0], [0.01, 0.96, 0.01], [0, 0.01, 0]])),
+        "full_well": 3000 / gain,
+    }
+    sensor = jv.Sensor(
+        shot_noise=jv.PoissonShotNoise(),
+        read_noise=10 ** rng.uniform(-0.5, 1.3),
+        gain=gain,
+        offset=rng.choice([0.0, 10.0, 64.0, 500.0]),
+        bits=12,
+        prnu=0.01,
+        dsnu=10 ** rng.uniform(-1, 1.3),
+        **{name: value for name, value in some.items() if rng.random() < 0.3},
+    )
+    light = 4095 / gain * 10 ** rng.uniform(-3, -0.05)
+    rows, columns = np.mgrid[:size, :size] / size
+    scenes = (
+        np.ones((size, size)),
+        columns,
+        np.kron(rng.uniform(0.02, 1, (4, 4)), np.ones((16, 16))),
+        0.5 + 0.5 * np.sin(9 * rows) * np.sin(12 * columns),
+    )
+    field = light * scenes[seed % 4][..., None]
+    raw = jv.raw_image(jax.random.key(seed), sensor, field, die_key=jax.random.key(99))
+    js.correct(raw, sensor)  # pytest turns a warning into an error

@@ -1,0 +1,96 @@
+"""Signs that numbers are not those of a single raw frame of the camera.
+
+Noise adds to the differences of neighbouring pixels, whatever the scene. Where these differences
+are smaller than the camera's noise makes them, frames were averaged, binned, denoised or scaled.
+Likewise, the differences of raw pixels must contain those of the dark and flat master frames.
+Pixels two apart are compared, because they have the same colour in a mosaic.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+SIDE = 512  # pixels of a frame's middle that are looked at, along each side
+BLOCK = 8  # pixels of a side
+FEWEST_BLOCKS = 20
+FEWEST_PAIRS = 64  # of a block, along both axes
+SMOOTHEST = 0.25  # share of the blocks, taken to be the smoothest
+QUIET = 0.5  # DN^2 of noise, below which rounding makes it uncertain
+BRIGHT = 3.0  # standard deviations of noise of a pixel, above which its stated noise is right
+LESS_NOISE = 0.7  # share of the variance, below which frames are not raw
+GONE = 0.5  # share of a master's differences, below which they were removed
+RELIABLE = 0.3  # least share of a master's differences that is not its noise
+SIGMAS = 5.0
+
+Plane = Float[np.ndarray, "h w"]
+
+
+def middle(frames: np.ndarray) -> Plane:
+    """Return the middle of the first band of the first frame."""
+    plane = np.asarray(frames, float)
+    plane = plane.reshape(-1, *plane.shape[-3:])[0, ..., 0]
+    starts = [max(size - SIDE, 0) // 2 // 2 * 2 for size in plane.shape]
+    return plane[starts[0] : starts[0] + SIDE, starts[1] : starts[1] + SIDE]
+
+
+def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
+    """Return weighted sums of pixels that are two apart, along columns and along rows, for a number
+    of pixels that is divided into blocks."""
+    reach = 2 * (len(weights) - 1)
+    rows, columns = ((size - reach) // BLOCK * BLOCK for size in plane.shape)
+    down = [plane[2 * i : 2 * i + rows, :columns] for i in range(len(weights))]
+    across = [plane[:rows, 2 * i : 2 * i + columns] for i in range(len(weights))]
+    return [
+        sum(weight * own for weight, own in zip(weights, some, strict=True))
+        for some in (down, across)
+    ]
+
+
+def _sums(values: Plane) -> np.ndarray:
+    """Return the sums over blocks."""
+    rows, columns = (size // BLOCK for size in values.shape)
+    return values.reshape(rows, BLOCK, columns, BLOCK).sum(axis=(1, 3))
+
+
+def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
+    """Return the variance of the second differences of pixels in the smoothest parts of a frame,
+    divided by the variance that their stated noise gives; 1 where too few pixels are usable: those
+    with light, whose noise exceeds the rounding of codes."""
+    if min(image.shape) < BLOCK + 4:
+        return 1.0
+    weights = (1.0, -2.0, 1.0)
+    known = [np.isfinite(one) for one in _along_both(image, weights)]
+
+    def summed(planes: list[Plane]) -> np.ndarray:
+        first, second = (np.where(k, x, 0.0) for k, x in zip(known, planes, strict=True))
+        return _sums(first) + _sums(second)
+
+    found, of_codes = (
+        summed([one**2 for one in _along_both(plane, weights)]) for plane in (image, codes)
+    )
+    expected = summed(_along_both(variance, (1.0, 4.0, 1.0))) / 6
+    level, pairs = summed(_along_both(image, (1.0, 0.0, 0.0))), summed([1.0 * k for k in known])
+    full = (pairs >= FEWEST_PAIRS) & (level > BRIGHT * np.sqrt(expected * pairs))
+    full &= expected * of_codes.sum() > QUIET * pairs * found.sum()
+    if np.count_nonzero(full) < FEWEST_BLOCKS:
+        return 1.0
+    return float(np.quantile(found[full] / (6 * expected[full]), SMOOTHEST))
+
+
+def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> bool:
+    """Return whether the differences of neighbouring pixels in a frame contain less than half of
+    those in a pattern, in which `noise` is the variance of its error. Differences are multiplied by
+    `weight`."""
+    if min(frame.shape) < BLOCK + 2:
+        return False
+    weights = np.ravel(_along_both(weight, (1.0, 0.0)))
+    own, wanted = (weights * np.ravel(_along_both(x, (1.0, -1.0))) for x in (frame, pattern))
+    error = weights**2 * np.ravel(_along_both(noise, (1.0, 1.0)))
+    known = np.isfinite(own) & np.isfinite(wanted) & np.isfinite(error)
+    own, wanted, error = own[known], wanted[known], error[known]
+    square = float(np.sum(wanted**2))
+    share = 1 - float(np.sum(error)) / square if square > 0 else 0.0
+    if own.size < FEWEST_PAIRS or share < RELIABLE:
+        return False
+    slope = float(np.sum(own * wanted)) / square
+    of_slope = 2 * float(np.sum(((own - slope * wanted) * wanted) ** 2)) ** 0.5 / square
+    return slope + SIGMAS * of_slope < GONE * share
