@@ -24,7 +24,8 @@ from jaxvision.files.images import (
 )
 from jaxvision.files.raw import FITS_FORMATS, RAW_FORMATS
 
-from .codes import converter_of
+from .codes import Codes, converter_of
+from .inference.formatting import format_percent
 from .rig import RIG_FILE
 
 SUFFIXES = (
@@ -32,6 +33,7 @@ SUFFIXES = (
     *(*FLOAT_FORMATS, ".npy"),
 )
 BITS = (8, 10, 12, 14, 16)  # bit depths of common converters
+SAME_TIME = 0.1  # relative difference of an exposure from that of a name, which is often rounded
 TEMPERATURE_GAP = 2.0  # K, gap between temperatures that count as two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
 _DARK, _FLAT, _LIGHT = (
@@ -227,8 +229,15 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
     settings = read_settings(folder / name)
     kind, doubt_of_kind = _kind(name, settings.kind or "")
     seconds, doubt = settings.exposure or None, ""
+    named, doubt = _time_in(name, counted=counted)
     if seconds is None:
-        seconds, doubt = _time_in(name, counted=counted)
+        seconds = named
+    else:
+        doubt = ""
+        if named is not None and not math.isclose(seconds, named, rel_tol=SAME_TIME):
+            doubt = (
+                f"{name}: its header says {seconds:.4g} s, which was taken; its name {named:.4g} s."
+            )
     if seconds is None and _BIAS.search(settings.kind or Path(name).stem):
         seconds = 0.0
     return _Image(name, settings, seconds, kind, (doubt, doubt_of_kind))
@@ -326,6 +335,7 @@ def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
     """Return the line for `bits`, from the files or from the largest number in some of them."""
     picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
     read = [read_image(folder / images[i].name) for i in picks]
+    found.missing += _processing_in_words([images[i] for i in picks], read)
     saturations = [image.settings.saturation for image in images if image.settings.saturation]
     depths = sorted({image.settings.bits for image in images if image.settings.bits})
     if len(depths) > 1:
@@ -349,6 +359,31 @@ def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
         return "# bits = ?"
     found.missing.append(f"bits = {bits} is the least that holds {top:g} DN; correct it.")
     return f"bits = {bits}  # at least: the largest number read is {top:g}"
+
+
+def _processing_in_words(images: Sequence[_Image], read: Sequence[np.ndarray]) -> list[str]:
+    """Return sentences on numbers that no converter gives, and on black that was clipped."""
+    least, top = (float(end([end(one) for one in read])) for end in (np.nanmin, np.nanmax))
+    step, sentences, advice = converter_of(read).step, [], "give frames as the camera wrote them."
+    if step < 1 and least >= 0 and top <= 1:
+        sentences.append(f"All numbers lie between 0 and 1, as after a division; {advice}")
+    elif step < 1:
+        grid = f"multiples of 1/{1 / step:.4g}" if step else "not whole"
+        sentences.append(f"The numbers are {grid}, as in means or after a correction; {advice}")
+    if least < 0:
+        sentences.append(f"The least number is {least:g}, as after a subtraction; {advice}")
+    codes = Codes()
+    darks = [own for image, own in zip(images, read, strict=True) if image.kind == "dark"]
+    for own in darks:
+        codes.add(own)
+    lowest = codes.clips_below()
+    if lowest is not None:
+        share = format_percent(float(np.mean([np.mean(own == lowest) for own in darks])))
+        sentences.append(
+            f"{share} of the darks' pixels are {lowest:g} DN and none are below, as black that was "
+            "clipped; raise the camera's black level, or give frames before its subtraction."
+        )
+    return sentences
 
 
 def _levels(

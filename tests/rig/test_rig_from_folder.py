@@ -364,3 +364,35 @@ def test_copies_in_another_format_and_thumbnails_are_left_out(tmp_path):
         "IMG_1_2s.jpg: another file of this name is no JPEG.",
         "IMG_1_2s_thumb.png: is a thumbnail, by its name.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("process", "words"),
+    [
+        (lambda x: x, None),
+        (lambda x: x + np.arange(64) % 4 / 4, r"The numbers are multiples of 1/4, as in means"),
+        (lambda x: x - 64, r"The least number is -\d+, as after a subtraction"),
+        (
+            lambda x: np.maximum(x - 64, 0),
+            r"\d\d % of the darks' pixels are 0 DN and none are below",
+        ),
+        (lambda x: np.maximum(x, 65), r"\d\d % of the darks' pixels are 65 DN and none are below"),
+        (lambda x: x / 4095, r"All numbers lie between 0 and 1"),
+    ],
+)
+def test_frames_that_were_processed_are_described(process, words, tmp_path):
+    rng = np.random.default_rng(0)
+    for kind, light in (("dark", 0), ("flat", 900)):
+        for i in range(2):
+            frame = np.round(64 + rng.poisson(light, (64, 64)) + rng.normal(0, 2, (64, 64)))
+            np.save(tmp_path / f"{kind}_8ms_{i}.npy", process(frame))
+    missing = rig_of(tmp_path).missing
+    assert sum("camera" in one or "black" in one for one in missing) == (words is not None)
+    assert words is None or any(re.match(words, one) for one in missing)
+
+
+def test_a_time_in_the_header_that_differs_from_the_name_is_said(tmp_path):
+    for name in ("dark_8ms_0", "flat_80ms_0"):
+        photograph(tmp_path / f"{name}.jpg", seconds=0.008)
+    told = [one for one in rig_of(tmp_path).missing if "its header says" in one]
+    assert told == ["flat_80ms_0.jpg: its header says 0.008 s, which was taken; its name 0.08 s."]
