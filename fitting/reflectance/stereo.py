@@ -12,6 +12,7 @@ shadows, clipped pixels and highlights are outliers of this model.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -62,6 +63,7 @@ CLEAR = 3.0  # standard deviations of a reading between its prediction and a lim
 PASSES = 8  # at most, of a fit and the readings that it predicts between the limits
 CONTRADICTED, USUAL = 0.5, 0.25  # share of contradicted pixels; largest in the median image
 APART = 8.0  # ratio to the median image's median residual from which an image deviates
+AGREE, TRIPLES = 5, 250  # least readings that agree; most triples of lights that are tried
 FEWEST = 30  # fewest pixels to judge an image
 HALF_NORMAL = 0.8318  # interquartile range of |x| if x is a Gaussian of unit variance
 ALONE = 0.02  # logarithm of a factor from which an image deviates from those that agree
@@ -286,8 +288,16 @@ def photometric_stereo(
     if apart.any() or alone.any() or common is not None:
         agreeing = readings if common is None else common.removed(readings)
         counts = _counted(rows, agreeing, between, limits, robust=robust)
-    shape, shaped = stack.shape, counts.reshape(stack.shape)
-    found = departures(rows, (agreeing + tilt).reshape(shape), shaped, linear)
+    shape, undecided = stack.shape, np.zeros(readings.shape[1], bool)
+    against, wild = _contradicted_pixels(rows, agreeing, counts, between, limits)
+    for lost in (against, wild):
+        if robust:
+            undecided |= lost
+        shaped = (counts & ~undecided).reshape(shape)
+        found = departures(rows, (agreeing + tilt).reshape(shape), shaped, linear)
+        if found.significant or not (wild & ~undecided).any():
+            break  # departures from the model include the scatter of such pixels
+    counts &= ~undecided
     g, _ = solved(linear, readings + tilt, found.weights)
     covariance_of_g, rough = found.covariance, None
     if surface is not None:
@@ -321,6 +331,12 @@ def photometric_stereo(
         )
     if not findings:
         findings = unlit or _contradiction_finding(rows, readings.reshape(shape), between, limits)
+    if undecided.any():
+        findings += (
+            f"At {int(undecided.sum())} pixels the readings contradict each other so that no set "
+            "of them prevails, as where cast shadows or highlights lie under about half of the "
+            "lights. They have no normal; use more lights.",
+        )
     seen = np.isfinite(albedo)
     exact = seen & np.isnan(normal_sd)
     if exact.sum() > seen.sum() / 2:
@@ -832,12 +848,53 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
     scale = NORMAL_MAD * _median(residuals, used)
     near = counts & ~(residuals > FAR * np.maximum(scale, least))
     near = np.where((used >= 5) & (near.sum(axis=0) >= 4), near, counts)
+    usual = float(np.median(scale[used >= AGREE])) if (used >= AGREE).any() else 0.0
+    wild = (used > AGREE) & (np.where(near, residuals, 0).max(axis=0) > APART * max(usual, 1e-300))
+    wild |= (used > AGREE) & ((counts & ~near).sum(axis=0) > 1)
+    if wild.any() and usual > 0:
+        some = np.flatnonzero(wild)
+        own = _agreeing(at_pixels(rows, some), readings[:, some], counts[:, some], FAR * usual)
+        better = own.sum(axis=0) > np.maximum(
+            (near & (residuals < FAR * usual))[:, some].sum(axis=0), AGREE - 1
+        )
+        near[:, some] = np.where(better, own, near[:, some])
     for _ in range(RETURNS):
         back = _explained(rows, readings, counts & ~near, near)
         if not back.any():
             break
         near |= back
     return near
+
+
+def _agreeing(rows: Rows, readings: Readings, counts: Counted, tolerance: float) -> Counted:
+    """Return, for each pixel, the largest set of readings within a tolerance of the prediction from
+    three of them. It contains the valid readings where up to half of all are in shadow."""
+    triples = np.array(list(combinations(range(len(readings)), 3)))
+    triples = triples[:: -(-len(triples) // TRIPLES)]
+    best, most = np.zeros_like(counts), np.zeros(readings.shape[1])
+    for three in map(list, triples):
+        weights = np.zeros_like(readings)
+        weights[three] = counts[three].all(axis=0)
+        g, _ = solved(rows, readings, weights)
+        with np.errstate(invalid="ignore"):
+            own = counts & (np.abs(readings - predicted(rows, g)) < tolerance)
+        more = own.sum(axis=0) > most
+        best[:, more], most = own[:, more], np.maximum(most, own.sum(axis=0))
+    return best
+
+
+def _contradicted_pixels(
+    rows: Rows, readings: Readings, counts: Counted, between: Counted, limits: Limits
+) -> tuple[Bool[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
+    """Return the pixels in which as many readings contradict the fit as support it, and those whose
+    readings scatter much more than usual."""
+    g, _, used = _least_squares(rows, readings, counts.astype(float))
+    scatter = np.sqrt(_scatter(rows, readings, counts, g, used))
+    usual = np.nanmedian(scatter) if np.isfinite(scatter).any() else np.inf
+    expected = predicted(rows, g)
+    lit = expected > limits[0] + CLEAR * limits[2]
+    apart = between & ~counts & lit & (np.abs(readings - expected) > APART * usual)
+    return (used > 3) & (apart.sum(axis=0) > used - 2), scatter > APART * usual
 
 
 def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:

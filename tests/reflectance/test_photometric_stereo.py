@@ -596,3 +596,32 @@ def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipp
     steep = normals[..., 2] > 0.9  # lit by all lights
     found = photometric_stereo(np.where(steep, readings, np.nan), lights)
     assert (three in str(found)) == (len(azimuths) == 3)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("shadowed", [2, 3, 4])
+def test_cast_shadows_under_up_to_half_of_the_lights(shadowed, level):
+    """On a part of a ball, under 8 lights in a ring. Cones contained 1 to 70 % before, or had half
+    angles of 100 degrees; under half of the lights, no set of readings prevails."""
+    rng, turns = np.random.default_rng(3), 2 * np.pi * np.arange(8) / 8
+    up = np.radians(50 + 15 * (np.arange(8) % 2 == 0))
+    lights = np.stack([np.cos(up) * np.cos(turns), np.cos(up) * np.sin(turns), np.sin(up)], axis=1)
+    row, column = (np.mgrid[:40, :40] - 19.5) / 18
+    normals = np.stack([column, -row, np.sqrt(np.maximum(1 - row**2 - column**2, 0))], axis=-1)
+    inside = normals[..., 2] > 0.25
+    images = 1000 * np.maximum(np.einsum("kc,hwc->khw", lights, normals), 0) * inside
+    part = inside & (np.abs(row) < 0.5) & (np.abs(column) < 0.3)
+    images[:shadowed, part] *= level
+    found = photometric_stereo(images + 3 * rng.normal(size=images.shape), lights)
+    off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
+    known = part & np.isfinite(found.normal_sd)
+    covered = off[known] < 2.448 * found.normal_sd[known]
+    assert known.sum() < 0.1 * part.sum() or np.mean(covered) > 0.88
+    if shadowed < 4:
+        assert np.median(off[known]) < np.radians(0.5)
+        assert known.sum() > (0.98 if shadowed == 2 else 0.6) * part.sum()
+    elif level < 0.2:
+        assert known.sum() < 0.2 * part.sum()
+        assert any("pixels the readings contradict each other" in s for s in found.findings)
+    rest = inside & ~part
+    assert np.mean(off[rest] < 2.448 * found.normal_sd[rest]) > 0.9
