@@ -28,6 +28,7 @@ from jaxvision.rendering import PixelSamples
 
 from ..inference.differences import correct_by_differences
 from ..inference.formatting import format_with_error
+from ..inference.given import require_kind
 from ..inference.problem import Problem
 from ..inference.search import derivatives, search
 from ..inference.streams import chunks
@@ -182,6 +183,7 @@ def influence(
         2.0
     """
     found = fit(fitted) if isinstance(fitted, Problem) else fitted
+    require_kind("influence: fitted", found, Fit, source="fit")
     value, sd, measure = measure_effects(found, target)
     effects, left = without_effects(found.problem, samples=samples, depth=depth)
     alone = {name: left((name,)) for name in effects}

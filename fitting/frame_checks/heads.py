@@ -80,6 +80,16 @@ def _settings(path: Path) -> ImageSettings:
         return ImageSettings()
 
 
+def series_times(paths: Sequence[Path]) -> np.ndarray | None:
+    """Return the times at which files were taken, s since the first of them, by their metadata;
+    None if a file has none, or if all have the same."""
+    taken = [_settings(path).taken for path in paths]
+    if not taken or any(one is None for one in taken):
+        return None
+    stamps = np.array([one.timestamp() for one in taken if one is not None])
+    return stamps - stamps.min() if np.ptp(stamps) > 0 else None
+
+
 _UNIFORM: list[tuple[str, Callable[[Any], str]]] = [
     ("iso", lambda iso: f"ISO {iso:g}"),
     ("gain", lambda gain: f"GAIN = {gain:g}"),

@@ -400,6 +400,8 @@ def lamp_error(fit: LikelihoodFit) -> float:
     expected, black = _means(fit.values, fit.data), float(fit.values["black_level"])
     rates = (np.asarray(fit.problem.data[:, 0])[lit] - black) / (np.asarray(expected)[lit] - black)
     away = rates - rates.mean()
+    if fit.data.series is not None:
+        away = away[np.argsort(np.asarray(fit.data.series)[lit], kind="stable")]
     alike = np.sum(np.diff(away) ** 2) < 2 * np.sum(away**2)
     if LIGHT_DRIFT not in fit.space and not alike:
         return 0.0

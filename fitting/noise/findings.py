@@ -157,6 +157,9 @@ def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
         "way": "rises" if drift[0] > 0 else "falls",
         "change": format_with_error(100 * abs(drift[0]), 100 * drift[1]),
         "error": 100 * error,
+        "span": "dimmest to the brightest level"
+        if calibration.measurement.bright.taken is None
+        else "first to the last level, by the times in their files",
     }
     if kind == "either":
         found["low"], found["high"] = steady_linearity(calibration)
@@ -702,10 +705,10 @@ FINDINGS = (
     Finding(
         "drift of the light",
         partial(_lamp, "drift"),
-        "The light {way} by {change} % from the dimmest to the brightest level, as of a lamp that "
-        "drifts over the series: the means bend as with a curved response, but the variances "
-        "contradict one. At which level the light was the stated one is unknown, so figures per "
-        "photon have a further error of {error:.2g} %. Measure the light of every level.",
+        "The light {way} by {change} % from the {span}, as of a lamp that drifts over the series: "
+        "the means differ from a line, but not as with a curved response. At which level the light "
+        "was the stated one is unknown, so figures per photon have a further error of {error:.2g} "
+        "%. Measure the light of every level.",
     ),
     Finding(
         "drift or curve",

@@ -132,6 +132,7 @@ class Levels(eqx.Module):
             by column and by position in a cell (`periodic`); None without frames.
         quarters: (levels, 2, 8) means of the average frame and of its variance for the quarters of
             a frame, its centre and border, and the steps at its middle (`periodic`).
+        taken: (levels,) s since the first level, when the first frame was taken; None if unknown.
         local_pattern: (levels,) variance that is the same in all frames, from differences of
             neighbours, DN^2; None without frames.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
@@ -154,6 +155,7 @@ class Levels(eqx.Module):
     covariances: Float[Array, "levels lags lags"] | None = None
     residues: Float[Array, "levels 2 5 residues"] | None = None
     quarters: Float[Array, "levels 2 8"] | None = None
+    taken: Float[Array, " levels"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
     blocks: Float[Array, "levels 2 8"] | None = None
     combs: Float[Array, "levels steps 8 8"] | None = None

@@ -29,7 +29,8 @@ Because shot noise is skewed, mean and variance have the covariance kappa_3 / (n
 kappa_4 are the cumulants of a pixel's number. Two random effects per level are optional: an error
 of the light with standard deviation tau_H mu_p, and an error of the black level with standard
 deviation tau_0. A drift d of the light over the series is optional, too: the light of level i of n
-changes by the factor 1 + d (i / (n - 1) - 1/2). A drift bends the means over the light as a
+changes by the factor 1 + d (i / (n - 1) - 1/2), with the times in the files in place of i where
+they have any. A drift bends the means over the light as a
 compression does, but does not change the variance at a given signal.
 
 The data of the `Problem` have a row for each level: mean, temporal variance, T, and (for darks) the
@@ -108,8 +109,8 @@ class NoiseData(eqx.Module):
     # variance of a frame's mean because the light fluctuates, DN^2; None without
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())  # grid of the values
-    # position in the series, from -1/2 at the dimmest level to 1/2 at the brightest; 0 in the dark;
-    # None where no light drifts
+    # position in the series, from -1/2 at the dimmest level, or the first in time where times are
+    # known, to 1/2 at the brightest or last; 0 in the dark; None where no light drifts
     series: Float[Array, " levels"] | None = None
     # levels whose histograms of codes replace their moments; None for none
     counted: CountedLevels | None = None

@@ -19,7 +19,7 @@ from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
 from ..frame_checks.frame import ALONE, FrameSample, OddFrames, refuse_half
-from ..frame_checks.heads import Stated, odd_heads
+from ..frame_checks.heads import Stated, odd_heads, series_times
 from ..frame_checks.levels import odd_frames
 from ..inference.formatting import format_percent
 from ..inference.precision import double_precision
@@ -130,6 +130,9 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     dark, of_darks, unlit = _reduced(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright, of_flats, lit = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    taken = series_times([rig.path(shown[0].name) for shown in of_flats])
+    if taken is not None:
+        bright = replace(bright, taken=_array(taken))
     of_each = 2 * [(lit + unlit).converter()]
     if {lit.whole, unlit.whole} == {True, False}:  # some were averaged or divided
         of_each = [lit.converter(), unlit.converter()]

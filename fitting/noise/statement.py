@@ -108,6 +108,9 @@ def noise_data(
     if offsets is not None:
         rows[3] = jnp.where(lit > 0, jnp.nan, offsets.spatial)
     order = jnp.linspace(-0.5, 0.5, index.size, dtype=dtype)
+    if bright.taken is not None:
+        since = bright.taken[index] - jnp.min(bright.taken[index])
+        order = jnp.where(jnp.max(since) > 0, since / jnp.max(since) - 0.5, order)
     inputs = NoiseData(
         series=jnp.concatenate([order, jnp.zeros(dark.mean.size, dtype)]),
         light=row("light"),

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
-from fitting import Parameter, Problem, SensorNoise, called_for, fit, influence
+from fitting import Gaussian, Parameter, Problem, SensorNoise, called_for, fit, influence
 from fitting.fits.depicted import without_effects
+from jaxvision.errors import InputError
 from jaxvision.optics import sensor_irradiance
 
 DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
@@ -94,3 +95,36 @@ def test_a_problem_leaves_out_what_does_not_move_its_target():
     assert abs(one.values[EXPONENT] - two.values[EXPONENT]) < 0.1 * sd
     told = [x for x in two.findings if "moves exponent by at most" in x]
     assert len(told) == len([e for e in smaller.left_out.dropped if e.rank == "estimate"]) > 0
+
+
+def test_data_of_other_kinds_have_the_influence_of_floats():
+    """Two lamps over a floor. Without the far one, the near one gains 1 %."""
+    floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
+    lamps = [jv.PointLight([0, 0, 2], [800.0]), jv.PointLight([0, 0, 20], [800.0])]
+    view = jv.Orthographic([0, 0, 3], DOWN, 0.2, resolution=(3, 3))
+    scene = jv.Scene(floor, lamps)
+    true = np.round(np.asarray(jv.render(scene, view)))
+
+    def moved(data):
+        problem = Problem(
+            {"scene.lights[0].intensity": Parameter(lower=1.0, upper=2000.0)},
+            predict=lambda scene, camera: jv.render(scene, camera.view),
+            likelihood=Gaussian(sd=0.5),
+            data=data,
+            records={"scene": scene, "camera": jv.Camera(view, jv.Sensor())},
+        )
+        found = influence(problem, "intensity[0]")
+        return found.value, found.sd, found.of("lights[1]").shift, found.of("shadows").bound
+
+    whole = moved(true)
+    assert whole[2] * whole[1] == pytest.approx(8, rel=1e-3)
+    np.testing.assert_allclose(moved(true.astype(np.uint8)), whole, rtol=1e-6, atol=1e-6)
+    without = np.zeros(true.shape, bool)
+    without[0, 0] = True
+    masked = moved(np.ma.masked_array(np.where(without, 99.0, true), without))
+    missing = moved(np.where(without, np.nan, true))
+    np.testing.assert_allclose(masked, missing, rtol=1e-6, atol=1e-6)
+    one = moved(np.where(np.arange(9).reshape(3, 3)[..., None] == 4, true, np.nan))
+    assert one[2] * one[1] == pytest.approx(8, rel=1e-3)
+    with pytest.raises(InputError, match="influence: fitted must be a Fit, got int; fit gives one"):
+        influence(3, "intensity")

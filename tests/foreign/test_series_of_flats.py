@@ -1,5 +1,6 @@
 """Flats and darks of cameras that leak light, glow on, change their gain or move between frames."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -473,7 +474,7 @@ def test_a_stated_black_level_that_the_darks_contradict_is_named(stated, named):
     assert any("states 164 DN, but the darks have 64" in x for x in found.remarks) == named
 
 
-def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6):
+def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6, taken=None):
     """Levels of two frames under a lamp whose light is off by a factor in each of them."""
     photons = np.linspace(900, 9000, 10)
     gains, top = 1 + 0.01 * rng.standard_normal((64, 96)), K * efficiency * photons[-1]
@@ -487,7 +488,55 @@ def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6):
     darks = [[frame(0.0) for _ in "ab"] for _ in photons]
     times = list(photons / photons[-1])
     camera = noise.Camera(bits=12)
-    return noise.calibrate(noise.from_frames(flats, darks, times, list(photons), camera=camera))
+    found = noise.from_frames(flats, darks, times, list(photons), camera=camera)
+    if taken is not None:
+        found = replace(found, bright=replace(found.bright, taken=np.asarray(taken, float)))
+    return noise.calibrate(found)
+
+
+ORDER = np.array([4, 7, 0, 9, 2, 5, 8, 1, 6, 3])  # of the levels in time
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lamp", [0.003, 0.01])
+def test_times_of_files_tell_a_drift_from_a_curve(lamp):
+    """Levels in random order under a lamp that gains a share a minute."""
+    found = under_lamp(np.random.default_rng(1), 1 + lamp * ORDER, taken=60 * ORDER)
+    (said,) = told(found, "drift of the light")
+    assert "from the first to the last level, by the times in their files" in said
+    change = float(said.split("rises by ")[1].split()[0])
+    assert abs(change - 900 * lamp / (1 + 4.5 * lamp)) < 0.25
+    assert not told(found, "compression")
+    low, high = found.shown["quantum_efficiency"].interval_95
+    assert low < 60 < high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bend", [0.015, 0.02])
+def test_times_of_files_tell_a_curve_from_a_drift(bend):
+    """In the order of the light, both explain the frames."""
+    found = under_lamp(np.random.default_rng(0), np.ones(10), bend=bend, taken=60 * ORDER)
+    assert not told(found, "drift or curve")
+    assert not told(found, "drift of the light")
+    assert found.shown["linearity_error_min"].value is not None
+    assert told(found, "compression")
+
+
+def test_times_of_files_are_read(tmp_path):
+    rng = np.random.default_rng(0)
+    lines = ["[camera]", "bits = 12"]
+    for kind, electrons in (("flat", ELECTRONS), ("dark", 0 * ELECTRONS)):
+        for i, light in enumerate(electrons):
+            names = [f"{kind}_{i}_{j}.tif" for j in range(2)]
+            for j, name in enumerate(names):
+                stamp = f"2026:05:04 10:{(7 * i) % 10:02d}:{j:02d}"
+                picture = Image.fromarray(exposed(rng, light))
+                picture.save(tmp_path / name, tiffinfo={306: stamp})
+            lines += [f"[[{kind}]]", f"files = {names}", f"exposure = {EXPOSURES[i]}"]
+    (tmp_path / "rig.toml").write_text("\n".join(lines).replace("'", '"'))
+    taken = noise.read_photon_transfer(tmp_path).bright.taken
+    wanted = 60.0 * ((7 * np.arange(len(ELECTRONS))) % 10)
+    np.testing.assert_allclose(taken, wanted - wanted.min())
 
 
 @pytest.mark.slow
