@@ -28,6 +28,8 @@ class Incident(Shown):
         irradiance: (bands,) W m^-2 on a surface that faces the light; the cosine of incidence is
             applied by the receiver.
         distance: () m to the light, or None for a light at infinity.
+        density: () sr^-1 of the direction, if it was drawn and its density came with it; 0 where
+            there is no light.
 
     Example:
         >>> arriving = jv.incident(jv.PointLight([3, 0, 4], [25.0]), jnp.zeros(3))
@@ -40,6 +42,7 @@ class Incident(Shown):
     direction: Direction
     irradiance: Colour
     distance: Scalar | None = None
+    density: Scalar | None = None
 
 
 class Seen(Shown):

@@ -120,12 +120,12 @@ def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
     """Map `u`, (2,) in [0, 1], to a position in the aperture. Return the unit direction from
-    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, and the distance,
-    m."""
+    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, the distance, m,
+    and the density, sr^-1."""
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
-    return Incident(wi, radiance * solid_angle, distance)
+    return Incident(wi, radiance * solid_angle, distance, reciprocal(solid_angle))
 
 
 def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) -> Scalar:

@@ -92,11 +92,11 @@ def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
     """Map `u`, (2,) in [0, 1], to a position in the rectangle. Return the unit direction from
-    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, and the distance,
-    m."""
+    `point` to this position, the radiance times the solid angle, (bands,) W m^-2, the distance, m,
+    and the density, sr^-1."""
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
-    return Incident(wi, light.radiance * solid_angle, distance)
+    return Incident(wi, light.radiance * solid_angle, distance, reciprocal(solid_angle))
 
 
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar:

@@ -13,7 +13,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._bounds import Ends, Source, box_corners, numbers, peak, unit
-from ..core._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
+from ..core._numerics import (
+    divide,
+    dot,
+    log1p,
+    norm,
+    normalize,
+    or_one,
+    safe_sqrt,
+    smallest_divisor,
+)
 from ..core._shown import Shown
 from ..core._types import Scalar, as_float, check_fields
 from ..core._vector import Direction, Vec, Vector, as_vec
@@ -78,38 +87,41 @@ def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
 
 class Spread(eqx.Module):
     """A map from u in [0, 1] to an interval of a line that begins at `start` and has the length
-    `length`: x = scale sinh(first + u span), relative to the foot of a perpendicular. `start`,
-    `length` and `scale` are () in m."""
+    `length`: x = scale sinh(p + u span), relative to the foot of a perpendicular. An interval whose
+    middle lies at x < 0 is mapped as its mirror image. `start`, `length` and `scale` are () in m;
+    `base` is exp(p)."""
 
     start: Scalar
     length: Scalar
     scale: Scalar
-    first: Scalar
+    base: Scalar
     span: Scalar
+    mirrored: Array
 
 
 def _map_interval(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
-    """Return the map to an interval whose ends, in units of `scale`, are a and b. The map's span is
-    asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)). If a and b have the same sign,
-    the difference is written as a quotient of sums, which avoids cancellation for a distant
-    interval."""
-    a, step = start / scale, length / scale
-    b = a + step
+    """Return the map to an interval. In units of `scale` its ends, or those of its mirror image,
+    are a and b, b >= |a|. With A = exp(asinh(a)) = a + sqrt(1 + a^2) and B likewise, the span is
+    log(B / A). All sums are of numbers of one sign, also for a short distant interval."""
+    first, step = start / scale, length / scale
+    last = first + step
+    mirrored = first + last < 0
+    a, b = jnp.where(mirrored, -last, first), jnp.where(mirrored, -first, last)
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
-    same_side = a * b > 0
-    total = b * across_a + a * across_b  # at least a step on one side, and about it at its ends
-    rise = step * (b + a) / or_one(total, ~(jnp.abs(total) <= step / 2))
-    span = jnp.where(same_side, jnp.arcsinh(rise), jnp.arcsinh(b) - jnp.arcsinh(a))
-    return Spread(start, length, scale, jnp.arcsinh(a), span)
+    larger = across_a + jnp.where(a < 0, -a, a)
+    base = jnp.where(a < 0, 1 / larger, larger)
+    rise = step * (1 + (a + b) / (across_a + across_b))  # B - A
+    return Spread(start, length, scale, base, log1p(rise / base), mirrored)
 
 
 def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the fraction of the interval at `u`, and its derivative with respect to u, from sinh(x
-    + 2 h) - sinh(x) = 2 sinh(h) cosh(x + h), which is accurate for a short distant interval."""
-    half = u * spread.span / 2
-    per_length = spread.scale / spread.length
-    fraction = 2 * per_length * jnp.sinh(half) * jnp.cosh(spread.first + half)
-    return fraction, per_length * spread.span * jnp.cosh(spread.first + 2 * half)
+    """Return the fraction of the interval at `u`, and its derivative with respect to u."""
+    grown = jnp.expm1(jnp.where(spread.mirrored, 1 - u, u) * spread.span)
+    there = spread.base * (1 + grown)  # exp(p + u span)
+    factor = spread.scale / (2 * spread.length)
+    fraction = factor * grown * (spread.base + 1 / there)
+    slope = factor * spread.span * (there + 1 / there)
+    return jnp.where(spread.mirrored, 1 - fraction, fraction), slope
 
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:

@@ -154,7 +154,10 @@ def _toward_light(light: Light, point: Vec, u: Float[Array, "2"]) -> Toward:
     if not can_be_seen(light):
         return _toward(incident(light, point), everywhere)
     arriving = direction_sample(light, point, u)
-    return _toward(arriving, direction_pdf(light, point, arriving.direction))
+    density = arriving.density
+    if density is None:
+        density = direction_pdf(light, point, arriving.direction)
+    return _toward(arriving, density)
 
 
 def _toward(arriving: Incident, density: Scalar) -> Toward:

@@ -6,11 +6,13 @@ and the answer to a wrong path.
     pytest tests/benchmarks/bench_first_picture.py -m benchmark -s
 """
 
+import atexit
 import os
 import subprocess
 import sys
 from functools import partial
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import TemporaryDirectory, mkdtemp
 
 import pytest
 from mitsuba_scenes import mitsuba
@@ -35,12 +37,17 @@ up, wi = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8])
 print(jv.lambert_shading(up, wi, np.array([0.1])))
 """
 OURS = ("JAX", "XLA", "XDG")  # what says how to compile, and where programs are kept
+# pip compiles what it installs to bytecode; sources in a working folder are compiled here instead
+BYTECODE = mkdtemp()
+atexit.register(partial(rmtree, BYTECODE, ignore_errors=True))
 
 
 def process(program, *arguments, home, status=0):
     """Run to its end by a user of that home folder."""
     environment = {name: x for name, x in os.environ.items() if not name.startswith(OURS)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment |= {"HOME": str(home), "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment |= {"PYTHONPYCACHEPREFIX": BYTECODE}
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments], env=environment, cwd=home, capture_output=True
     )
