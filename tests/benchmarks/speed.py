@@ -1,8 +1,10 @@
 """What a user waits for, beside a peer that does the same: runs the benchmarks of the rows below, a
 process each, and writes `docs/speed.md`.
 
-    python tests/benchmarks/speed.py [--only WORD] [--kept FILE] [--out docs/speed.md]
+    python tests/benchmarks/speed.py [--only WORD] [--kept FILE] [--beside FILE --named TEXT]
+        [--out docs/speed.md]
 
+`--beside` adds a column from the `--kept` file of another Python, which `--named` describes.
 Killed, it goes on with the rows that `--kept` lacks; delete the file to measure anew. The whole
 takes about a quarter of an hour on two cores. Peers come with `pip install '.[bench]'`; Mitsuba
 needs `DRJIT_LIBLLVM_PATH`, of LLVM 19, say: 15 cannot compile its programs. A row whose peer is not
@@ -146,14 +148,21 @@ def times_as_fast(row: Row, found: dict) -> np.ndarray:
 
 
 def cells(row: Row, found: dict | None) -> tuple[str, ...]:
+    """The times of a row, and how many times as fast as the peer."""
     if found is None:
-        return row.about, "not run", "", ""
+        return "not run", "", ""
     ours = _duration(found["seconds"][row.ours])
     if row.peer is None:
-        return row.about, ours, "", ""
+        return ours, "", ""
     low, middle, high = np.quantile(times_as_fast(row, found), (0.25, 0.5, 0.75))
     times = f"{middle:.2g} ({low:.2g} to {high:.2g})"
-    return row.about, ours, _duration(found["seconds"][row.peer]), times
+    return ours, _duration(found["seconds"][row.peer]), times
+
+
+def beside(row: Row, found: dict | None) -> str:
+    """The ratio of a row with another Python, or the time where there is no peer."""
+    own, _, times = cells(row, found)
+    return times or own
 
 
 def _duration(seconds: list[float]) -> str:
@@ -161,9 +170,14 @@ def _duration(seconds: list[float]) -> str:
     return f"{middle:.2g} s" if middle >= 1 else f"{1e3 * middle:.3g} ms"
 
 
-def page(rows: list[Row], found: list[dict]) -> str:
-    table = [("what", "jaxvision", "peer", "times as fast (interquartile range)"), ("---",) * 4]
-    table += [cells(row, found_for(row, found)) for row in rows]
+def page(rows: list[Row], found: list[dict], other: list[dict], named: str) -> str:
+    head = ("what", "jaxvision", "peer", "times as fast (interquartile range)")
+    table = [(row.about, *cells(row, found_for(row, found))) for row in rows]
+    if other:
+        head += (f"times as fast, or time: {named}",)
+        last = [beside(row, found_for(row, other)) for row in rows]
+        table = [(*cell, x) for cell, x in zip(table, last, strict=True)]
+    table = [head, ("---",) * len(head), *table]
     lines = "\n".join(f"| {' | '.join(row)} |" for row in table)
     installed = ", ".join(f"{name} {_version(name)}" for name in PEERS)
     return f"""# Speed compared with other programs
@@ -199,6 +213,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", default="", help="rows whose benchmark holds this word")
     parser.add_argument("--kept", type=Path, default=ROOT / ".pytest_cache" / "speed.jsonl")
+    parser.add_argument("--beside", type=Path, default=Path(), help="rows of another Python")
+    parser.add_argument("--named", default="another Python", help="what --beside was measured with")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "speed.md")
     given = parser.parse_args()
     rows = _rows()
@@ -211,7 +227,7 @@ def main() -> None:
             command = [sys.executable, "-m", "pytest", "-m", "benchmark", "--benchmark-enable"]
             environment = os.environ | {KEPT: str(kept)}
             subprocess.run([*command, "-q", "--no-header", str(HERE / test)], env=environment)
-    given.out.write_text(page(rows, measured(kept)))
+    given.out.write_text(page(rows, measured(kept), measured(given.beside), given.named))
 
 
 if __name__ == "__main__":
