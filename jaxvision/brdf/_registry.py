@@ -256,19 +256,20 @@ def is_body(material: Any) -> bool:
     return _family(material).absorption is not None
 
 
-def lambertian(material: Any) -> Material:
+def lambertian(material: Any, *, bands: int = 1) -> Material:
     """Return a Lambertian surface with the diffuse coefficient k_d and the ambient coefficient k_a
     of a material.
 
     Args:
         material: any material; one without a field `diffuse`, such as a mirror, becomes black.
+        bands: number of bands of a black surface.
 
     Returns:
         The material with its Lambertian and ambient parts only.
     """
     from .lambert import Lambert
 
-    black = jnp.zeros(1, jax.tree.leaves(material)[0].dtype)
+    black = jnp.zeros(bands, jax.tree.leaves(material)[0].dtype)
     return Lambert(getattr(material, "diffuse", black), ambient=getattr(material, "ambient", None))
 
 

@@ -207,7 +207,8 @@ def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
         why = "a mirror or glass, replaced by black, shows the scene no longer: no bound is known"
-        yield Row(f"{name}.material", _unknown(sums), why, _make_lambertian(i), saves=_REST)
+        black = _make_lambertian(i, sums.spectrum.shape[1])
+        yield Row(f"{name}.material", _unknown(sums), why, black, saves=_REST)
     if absorbs(material):
         yield absorption(sums, onward, i)
     if surface.low.emission is not None:
@@ -242,9 +243,10 @@ def _largest_sent(
     return pictured(sums, onward(cells, on))
 
 
-def _make_lambertian(i: int) -> Drop:
-    material = f"surfaces[{i}].material"
-    return lambda draft: setting(material, to=lambertian(value_at(draft, material)))(draft)
+def _make_lambertian(i: int, bands: int = 1) -> Drop:
+    """Return a function that leaves the diffuse part of a surface, or black in that many bands."""
+    name = f"surfaces[{i}].material"
+    return lambda draft: setting(name, to=lambertian(value_at(draft, name), bands=bands))(draft)
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:

@@ -127,8 +127,8 @@ def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
     """A mirror at 45 degrees shows half of a lamp of radiance 3, and the floor beside it."""
     tilted = np.array([0, 1, 1]) / np.sqrt(2)
     mirror = jv.Surface(jv.Disc([0, 0, 0], tilted, 0.5), jv.Mirror([0.5]))
-    lamp = jv.RectangleLight([-2, 3, -2], [4, 0, 0], [0, 0, 4], [3.0])  # faces -y
-    floor = jv.Surface(jv.Quad([-9, -9, -1], [18, 0, 0], [0, 18, 0]), jv.Lambert([0.0]))
+    lamp = jv.RectangleLight([-2, 3, -2], [4, 0, 0], [0, 0, 4], [3.0, 2.0, 1.0])  # faces -y
+    floor = jv.Surface(jv.Quad([-9, -9, -1], [18, 0, 0], [0, 18, 0]), jv.Lambert([0.0] * 3))
     down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
     view = jv.Orthographic([0, 0, 2], down, 0.1, resolution=(16, 16))
     scene = jv.Scene([floor, mirror], lamp)
@@ -142,6 +142,17 @@ def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
     assert [e for e in found if e.rank != "estimate"] == list(proved)
     pruned = effects.prune(scene, view, "90%", level=1.5, depth=depth, estimates=True)
     assert isinstance(pruned.scene.surfaces[1].material, jv.Mirror)
+
+
+def test_a_ball_of_glass_is_estimated_in_all_bands():
+    """Black, it hides a floor that glows; clear, it shows at least nine tenths of the glow."""
+    glow = np.array([1.0, 2.0, 3.0])
+    floor = jv.Surface(jv.Quad([-9, -9, -1], [18, 0, 0], [0, 18, 0]), jv.Lambert([0.0] * 3), glow)
+    ball = jv.Surface(jv.Sphere([0, 0, 0], 0.5), jv.Glass(1.5))
+    view = jv.Orthographic([0, 0, 2], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 0.1, resolution=(16, 16))
+    found = effects.inspect(jv.Scene([floor, ball], []), view, depth=6, estimates=True)
+    (estimate,) = (e for e in found if e.name == "surfaces[1].material" and e.rank == "estimate")
+    assert 2.7 < estimate.bound < 3.0001
 
 
 def test_estimates_are_changes_of_the_picture():
