@@ -68,10 +68,12 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
     gain = float(excess.sum() / signal.sum())
     noise = float(np.sqrt(max(np.median(np.asarray(dark.variance)) - converter.rounding, 0.0)))
     read = noise / gain
-    if read >= SUB_ELECTRON:
+    # Rounding hides the size of a noise below FINEST codes.
+    hidden = noise < FINEST * converter.step
+    if (FINEST * converter.step / gain if hidden else read) >= SUB_ELECTRON:
         return none
     opening = f"Read noise is about {read:.2g} e⁻, below {SUB_ELECTRON:g} e⁻, but"
-    if not converter.even or converter.imbalance or noise < FINEST * converter.step:
+    if not converter.even or converter.imbalance or hidden:
         return (
             f"{opening} {noise / converter.step:.2g} of a code, and steps between codes are too "
             "wide or uneven for the histogram of codes: the fit uses means and variances."
