@@ -79,6 +79,31 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.array([*triangles, left])
 
 
+def obj_counted_from_the_start(text: str) -> str:
+    """Return an OBJ text whose negative indices, which count back from the line of the face, are
+    replaced by positive ones."""
+    if not re.search(r"^[ \t]*f\b.*[\s/]-\d", text, re.MULTILINE):
+        return text
+    lines, counts = text.splitlines(), {"v": 0, "vt": 0, "vn": 0}
+
+    def corner(word: str) -> str:
+        indices = []
+        for index, kind in zip(word.split("/"), counts, strict=False):
+            back = index.startswith("-") and index[1:].isdigit()
+            if back and int(index) < -counts[kind]:
+                return word  # the reader says so
+            indices.append(str(counts[kind] + 1 + int(index)) if back else index)
+        return "/".join(indices)
+
+    for place, line in enumerate(lines):
+        words = line.split("#", 1)[0].split()
+        if words and words[0] in counts:
+            counts[words[0]] += 1
+        elif words[:1] == ["f"]:
+            lines[place] = " ".join(["f", *map(corner, words[1:])])
+    return "\n".join(lines) + "\n"
+
+
 def obj_in_triangles(text: str) -> str | None:
     """Return an OBJ text (continued lines joined) in triangles, or None if all are convex."""
     if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):

@@ -75,7 +75,9 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
     check_content(str(file), content)
     asset = content.get("asset") if isinstance(content, dict) else None
     version = asset.get("version") if isinstance(asset, dict) else None
-    if not str(version).startswith("2."):
+    least = asset.get("minVersion", "2.0") if isinstance(asset, dict) else "2.0"
+    if not str(version).startswith("2.") or least != "2.0":
+        version = version if least == "2.0" else f"{least} at least"
         raise InputError(f"{file}: not of glTF 2 (version {version}); export it as 2.0.")
     _check_places(file, content)
     return Gltf(file, content, binary)

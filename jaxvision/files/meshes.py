@@ -24,7 +24,15 @@ from ..errors import InputError, install
 from ..geometry.checks import faces_without_area
 from ..scene import TriangleMesh
 from ._plain_content import file_at, unlike
-from ._polygons import are_fans, cut, fan, obj_in_triangles, ply_of_corners, polygons_of
+from ._polygons import (
+    are_fans,
+    cut,
+    fan,
+    obj_counted_from_the_start,
+    obj_in_triangles,
+    ply_of_corners,
+    polygons_of,
+)
 from .gltf import SUFFIXES, Gltf, primitive_of, read_gltf
 
 Vector = Sequence[float | int] | np.ndarray
@@ -96,14 +104,19 @@ def read_mesh(
             f"{file}: says that its unit is {unit}, which is not used: lengths are taken as m "
             "times scale."
         )
-    loaded.apply_transform(_world_matrix(file, scale, rotation, position, matrix))
+    world = _world_matrix(file, scale, rotation, position, matrix)
+    given = loaded.metadata.get("normals")
+    loaded.apply_transform(world)
     exact = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` reports numbers that are not finite
         vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
     faces = _nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
-        normals = np.asarray(loaded.vertex_normals, float).astype(vertices.dtype)
+        normals = np.asarray(loaded.vertex_normals, float)
+        if given is not None:
+            normals = _turned_normals(given, world, normals)
+        normals = normals.astype(vertices.dtype)
     if flip:
         faces = faces[:, ::-1]
         normals = None if normals is None else -normals
@@ -210,7 +223,7 @@ def _primitive(file: Path, mesh: int, primitive: int, uv: bool):
     made = _trimesh(file).Trimesh(
         part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
     )
-    made.metadata["uv"] = part.uv
+    made.metadata |= {"uv": part.uv, "normals": part.normals}
     return made
 
 
@@ -247,6 +260,9 @@ def _load(file: Path):
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()
         mesh.metadata["pieces"] = len(scene.geometry)
+        own = _given_normals(scene)
+        if own is not None and len(own) == len(mesh.vertices):
+            mesh.metadata["normals"] = own
         if scene.units is not None:
             mesh.units = scene.units
     except InputError:
@@ -263,7 +279,40 @@ def _load(file: Path):
     return _cut_polygons(file, mesh)
 
 
+def _given_normals(scene) -> np.ndarray | None:
+    """Return the normals at the vertices that a file gives, (vertices, 3), in the order of the
+    merged mesh, which does not keep them; None if it gives none."""
+    found, given = [], False
+    for node in scene.graph.nodes_geometry:
+        to_world, name = scene.graph[node]
+        piece = scene.geometry[name]
+        if not hasattr(piece, "faces"):
+            continue  # points or lines
+        if len(piece.faces) and piece.faces.max() >= len(piece.vertices):
+            return None  # the faces are checked later
+        computed = piece.copy().vertex_normals  # a copy forgets those of the file
+        given |= not np.allclose(piece.vertex_normals, computed, atol=1e-6)
+        found.append(_turned_normals(piece.vertex_normals, to_world, computed))
+    return np.concatenate(found) if given else None
+
+
+def _turned_normals(normals: np.ndarray, matrix: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return unit normals after an affine map of the points; others for those without a length."""
+    turned = np.asarray(normals, float) @ np.linalg.inv(matrix[:3, :3])
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    known = np.isfinite(length) & (length > 0)
+    return np.where(known, turned / np.where(known, length, 1), otherwise)
+
+
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
+_OBJ_TAB = re.compile(r"^([ \t]*\w+)\t", re.MULTILINE)
+_OBJ_COLOURS = re.compile(r"^[ \t]*v(?:[ \t]+[^\s#]+){6,7}[ \t]*\r?$", re.MULTILINE)
+_OBJ_OTHER = {
+    r"^[ \t]*l[ \t]": "lines (l)",
+    r"^[ \t]*p[ \t]": "points (p)",
+    r"^[ \t]*call[ \t]": "another file (call)",
+    r"^[ \t]*fo[ \t]": "outlines of faces (fo)",
+}
 _OBJ_CURVED = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
 _OBJ_COMMENT = re.compile(r"^([ \t]*(?:v[tnp]?|f|l|p)[ \t][^\n#]*)#.*", re.MULTILINE)
 # a line that goes on in the next; a comment does not, though it may end in a backslash
@@ -289,6 +338,7 @@ def _source(file: Path) -> dict[str, Any]:
             text = text.replace("\r", "\n")
         text = _OBJ_CONTINUED.sub(r"\1 ", _OBJ_PATH.sub(r"\1", text))
         text = _OBJ_COMMENT.sub(r"\1", text)
+        text = obj_counted_from_the_start(_OBJ_TAB.sub(r"\1 ", text))
         if _OBJ_ZERO.search(text):
             raise unlike(file, "a face names the vertex 0, where OBJ counts from 1")
         if curved := sorted(set(_OBJ_CURVED.findall(text))):
@@ -296,6 +346,8 @@ def _source(file: Path) -> dict[str, Any]:
                 f"{file}: holds curves or surfaces of free form ({', '.join(curved)}), which are "
                 "not read."
             )
+        if unused := _unused_of_obj(text):
+            warn(f"{file}: not used: {', '.join(unused)}.")
         read = (obj_in_triangles(text) or text).encode("latin-1")
         plain = data if read == data else read
     elif suffix == ".ply":
@@ -307,6 +359,15 @@ def _source(file: Path) -> dict[str, Any]:
 
     of_folder = FilePathResolver(str(file.absolute()))
     return {"file_obj": BytesIO(plain), "file_type": suffix[1:], "resolver": of_folder}
+
+
+def _unused_of_obj(text: str) -> list[str]:
+    """Return what an OBJ text holds besides the triangles of one mesh, in words."""
+    materials = set(re.findall(r"^[ \t]*usemtl[ \t]+(\S+)", text, re.MULTILINE))
+    several = [f"its {len(materials)} materials (usemtl)"] if len(materials) > 1 else []
+    if _OBJ_COLOURS.search(text):
+        several.append("the colours of its vertices")
+    return several + [what for word, what in _OBJ_OTHER.items() if re.search(word, text, re.M)]
 
 
 def _cut_polygons(file: Path, mesh):

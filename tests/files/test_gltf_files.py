@@ -281,3 +281,8 @@ def test_other_scenes_of_a_file_are_named(tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(both))
     with pytest.warns(UserWarning, match="has 2 scenes; scene 0, counted from 0, is taken"):
         read_scene(tmp_path / "a.gltf")
+
+
+def test_a_version_above_2_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"version 2\.1 at least"):
+        read(tmp_path, asset={"version": "2.0", "minVersion": "2.1"})

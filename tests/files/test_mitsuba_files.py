@@ -374,3 +374,36 @@ def test_a_black_body_shines_by_plancks_law(tmp_path):
         read(tmp_path, SENSOR, away, lights[0].replace("blackbody", "d65"))
     with pytest.raises(InputError, match="needs a temperature above 0 K"):
         read(tmp_path, SENSOR, away, lights[0].replace("5000", "0"))
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        (
+            '<shape type="sphere"><float name="radius" value="1"/>'
+            '<float name="radius" value="3"/></shape>',
+            "'radius' stands twice",
+        ),
+        ('<shape type="sphere"><float name="radius" value="1" unit="cm"/></shape>', "unit"),
+        ('<shape type="sphere"><float name="radius" value="1">3</float></shape>', "the text '3'"),
+        (
+            '<shape type="sphere"><transform name="to_world"><translate X="3"/></transform>'
+            "</shape>",
+            "the attribute X is not read",
+        ),
+        (
+            '<shape type="sphere"><transform name="to_world"><scale value="2" x="3"/></transform>'
+            "</shape>",
+            "a value beside x, y or z",
+        ),
+        (
+            '<emitter type="point"><point name="position" x="1"/>'
+            '<transform name="to_world"><translate x="9"/></transform></emitter>',
+            "a position and a to_world",
+        ),
+    ],
+)
+def test_what_nothing_reads_is_refused(tmp_path, part, said):
+    """One of two values was taken, and an attribute of another name left out."""
+    with pytest.raises(InputError, match=said):
+        read(tmp_path, SENSOR, BALL, part)

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 from jaxvision.errors import InputError
 from jaxvision.files.meshes import read_mesh
@@ -190,3 +191,57 @@ def test_a_unit_in_a_comment_is_named(tmp_path, comment, unit):
             warnings.simplefilter("always")
             read_mesh(file)
         assert [f"its unit is {unit}," in str(one.message) for one in said] == [True] * bool(unit)
+
+
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+
+
+def test_negative_indices_count_from_the_line_of_the_face(tmp_path):
+    """The second triangle was the first once more."""
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\n"
+    (tmp_path / "a.obj").write_text(text + text.replace("v 0", "v 5").replace("v 1", "v 6"))
+    mesh = read_mesh(tmp_path / "a.obj")
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+    np.testing.assert_array_equal(corners[:, :, 0], [[0, 1, 1], [5, 6, 6]])
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
+def test_normals_of_a_file_are_those_of_its_mesh(tmp_path, suffix):
+    """They were computed anew from the triangles, whatever the file says."""
+    normals = np.array([[0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1]])
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]])
+    if suffix == "obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in corners]
+        lines += [f"vn {x} {y} {z}" for x, y, z in normals]
+        (tmp_path / "a.obj").write_text("\n".join([*lines, "f 1//1 2//2 3//3\n"]))
+    else:
+        mesh = trimesh.Trimesh(corners, [[0, 1, 2]], vertex_normals=normals, process=False)
+        mesh.export(tmp_path / f"a.{suffix}")
+    found = read_mesh(tmp_path / f"a.{suffix}", smooth=True)
+    np.testing.assert_allclose(found.normals, normals, atol=1e-6)
+    stretched = np.diag([2.0, 1.0, 1.0])  # normals of a stretched surface turn from its axis
+    found = read_mesh(
+        tmp_path / f"a.{suffix}", smooth=True, matrix=np.column_stack([stretched, np.zeros(3)])
+    )
+    expected = normals / [2, 1, 1]
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(found.normals, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("usemtl red\nf 1 2 3\nusemtl blue\nf 1 3 4\n", r"its 2 materials \(usemtl\)"),
+        ("v 0 0 1 1 0 0\nf 1 2 3\n", "the colours of its vertices"),
+        ("f 1 2 3\nl 1 2\np 4\n", r"lines \(l\), points \(p\)"),
+        ("call other.obj\nf 1 2 3\n", r"another file \(call\)"),
+    ],
+)
+def test_what_an_obj_holds_beside_its_triangles_is_named(tmp_path, more, said):
+    (tmp_path / "a.obj").write_text(SQUARE + more)
+    with pytest.warns(UserWarning, match=f"not used: {said}"):
+        read_mesh(tmp_path / "a.obj")
+    (tmp_path / "b.obj").write_text(SQUARE.replace(" ", "\t") + "usemtl red\nf\t1 2 3\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_mesh(tmp_path / "b.obj").faces) == 1

@@ -177,6 +177,11 @@ def _surfaces(
         normals = normals_of(file, content, material, f"material {name!r}")
         if normals is not None:
             surface["normals"] = normals
+            if "TANGENT" in part.attributes:
+                warn(
+                    f"{label}: TANGENT is not used; tangents of its normal map follow from the "
+                    "texture coordinates."
+                )
         emission = emission_of(material)
         if emission.any():
             surface["emission"] = (emission / LUMINOUS_EFFICACY).tolist()

@@ -140,6 +140,9 @@ def light_entry(node: Node) -> dict[str, Any]:
     """Return `kind` and the other keys of an `<emitter>` of the scene, with lengths in m. Raise
     `InputError` for an emitter without a counterpart."""
     kind = node.must_be(*EMITTERS)
+    place = {"point": "position", "directional": "direction"}.get(kind)
+    if {place, "to_world"} <= set(node.values):
+        raise node.wrong(f"has a {place} and a to_world, of which Mitsuba takes one; leave one.")
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     match kind:
         case "point":

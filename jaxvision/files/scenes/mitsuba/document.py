@@ -12,9 +12,13 @@ import numpy as np
 
 from ....errors import InputError, nearest, plain_text
 from ..._plain_content import DEEPEST, check_size
-from .transforms import transform_of
+from .transforms import check_attributes, transform_of
 
 _PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
+_ATTRIBUTES = {  # besides the name
+    **dict.fromkeys(("vector", "point"), ("value", "x", "y", "z")),
+    "spectrum": ("value", "filename"),
+}
 _MAX_DEPTH = 16  # largest depth of files that include each other
 
 
@@ -179,9 +183,17 @@ def _parse(file: Path) -> xml.Element:
 
 
 def _check_depth(root: xml.Element) -> xml.Element:
-    """Return the root of an XML tree, after checking its depth."""
+    """Return the root of an XML tree, after checking its depth, and that it has no text outside of
+    attributes, which nothing would read."""
     level, depth = [root], 0
     while level:
+        for element in level:
+            texts = [element.text, *(child.tail for child in element)]
+            if text := " ".join(filter(None, texts)).strip():
+                raise InputError(
+                    f"<{element.tag}> holds the text {text[:40]!r}, which is not read; give values "
+                    "as attributes."
+                )
         level, depth = [child for element in level for child in element], depth + 1
         if depth > DEEPEST:
             raise InputError(f"<{root.tag}> is nested more than {DEEPEST} deep; flatten it.")
@@ -212,18 +224,26 @@ class _Reader:
                 case "transform":
                     steps = [(step.tag, self._attributes(step)) for step in child]
                     with_name = f"{label}: {given.get('name', 'transform')}"
-                    made.values[given.get("name", "")] = transform_of(steps, with_name)
+                    self._set(made, given, transform_of(steps, with_name))
                 case "spectrum" if given.get("type") == "blackbody":
-                    made.values[given.get("name", "")] = self._blackbody(child, label, given)
+                    self._set(made, given, self._blackbody(child, label, given))
                 case tag if tag in _PLAIN and "type" not in given:
-                    name = given.get("name", "")
-                    made.values[name] = self._value(tag, given, f"{label}: {name}")
+                    place = f"{label}: {given.get('name', '')}"
+                    check_attributes(given, _ATTRIBUTES.get(tag, ("value",)), place)
+                    self._set(made, given, self._value(tag, given, place))
                 case tag:
                     part = self.node(child, self._label(tag, given))
                     made.parts.append((given.get("name", ""), part))
                     if "id" in given:
                         self._name(given["id"], part)
         return made
+
+    def _set(self, node: Node, given: Mapping[str, str], value: Any) -> None:
+        """Set a value of a node; `InputError` if it has one of that name."""
+        name = given.get("name", "")
+        if name in node.values:
+            raise node.wrong(f"{name!r} stands twice; leave one of them.")
+        node.values[name] = value
 
     def _flatten(self, element: xml.Element) -> Iterator[xml.Element]:
         """Yield the child elements, with the elements of included files in place of `<include>`."""

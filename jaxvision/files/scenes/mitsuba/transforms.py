@@ -24,8 +24,26 @@ def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> 
     return whole
 
 
+def check_attributes(given: Mapping[str, str], known: tuple[str, ...], place: str) -> None:
+    """Raise `InputError` for an attribute that nothing reads, or a value beside coordinates."""
+    for name in given:
+        if name not in ("name", "id", *known):
+            raise InputError(f"{place}: the attribute {name} is not read; correct or remove it.")
+    if "value" in given and {"x", "y", "z"} & set(given):
+        raise InputError(f"{place}: has a value beside x, y or z; leave one of them.")
+
+
+_OF_STEPS = {
+    **dict.fromkeys(("translate", "scale"), ("value", "x", "y", "z")),
+    "rotate": ("value", "x", "y", "z", "angle"),
+    **dict.fromkeys(("lookat", "lookAt"), ("origin", "target", "up")),
+    "matrix": ("value",),
+}
+
+
 def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
     step = np.eye(4)
+    check_attributes(given, _OF_STEPS.get(tag, tuple(given)), place)
     match tag:
         case "translate":
             step[:3, 3] = _vector(given, place, otherwise=0.0)
