@@ -79,7 +79,13 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
             "give independent frames at lower light."
         )
-    if signal_of(measurement).max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
+    signal = signal_of(measurement)
+    if signal.max() < 0 and -signal.max() > 3 * float(np.sqrt(bright.variance.max())):
+        raise InputError(
+            f"{file}: every flat is darker than its darks (by {-signal.max():.4g} DN and more), as "
+            "if flats and darks are exchanged or the numbers are inverted; correct that."
+        )
+    if signal.max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
     of_dark = dark.variance_error[measurement.dark_of]
     if (

@@ -230,3 +230,17 @@ def test_black_that_was_clipped_above_0_is_predicted(lowest):
     found = predicted(*([[np.maximum(one, lowest) for one in x] for x in y] for y in frames))
     assert found.judged.missed == []
     assert any(f"No value of the darks is below {lowest} DN" in one for one in findings(found))
+
+
+def test_unequal_columns_of_later_frames_are_named():
+    odd = np.arange(64) % 2
+    frames = ([[one + 3 * odd for one in x] for x in y] for y in series(1))
+    told = " ".join(findings(predicted(*frames)))
+    assert re.search(r"Even and odd columns differ in black level by (2\.9|3\.0)\d* DN", told)
+
+
+def test_inverted_numbers_are_named():
+    flats, darks = ([[4095 - one for one in x] for x in y] for y in series(1))
+    for frames in ((flats, darks), series(1)[::-1]):
+        with pytest.raises(InputError, match="every flat is darker than its darks"):
+            predicted(*frames)

@@ -26,6 +26,7 @@ from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
 from ..pattern import fitted_pattern, local_pattern
+from ..periodic import periodic_in_words, periodic_structure
 from ..raw_frames import processing_in_words
 from ..sensor import bits_of, fitted_sensor
 from ..sites import camera_of_taps, stated_in_words, tap_of, tap_sensor
@@ -172,8 +173,8 @@ def predict(
         raise InputError(
             f"{name}: predicts every level of light at an end of its scale, but the frames have "
             f"{float(measurement.bright.mean[usable].min()):.4g} to "
-            f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset"
-            f"{', and the exposures. ' + cause if cause else '.'}"
+            f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain, its offset, "
+            f"the photons (per pixel and exposure){' and exposures. ' + cause if cause else '.'}"
         )
     return Prediction(
         camera=name,
@@ -191,6 +192,7 @@ def predict(
             *measurement.remarks,
             *_remarks(name, camera, unstated, found),
             *_pattern_in_words(camera, measurement, usable),
+            *_structure_in_words(camera, measurement, usable),
         ),
     )
 
@@ -280,6 +282,16 @@ def _pattern_in_words(
                 f"another sensor{OTHER_CAUSES[what]}."
             )
     return sentences
+
+
+def _structure_in_words(
+    camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> list[str]:
+    """Return sentences on taps, halves or a mosaic of frames that are predicted as one channel."""
+    if measurement.site is not None:
+        return []
+    gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
+    return periodic_in_words(periodic_structure(measurement, usable), gain)
 
 
 def _rms_of(camera: Sensor, names: tuple[str, ...]) -> float:
