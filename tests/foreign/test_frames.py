@@ -322,6 +322,7 @@ def test_exposures_of_lights_that_differ_are_named(tmp_path):
     assert found.findings[0].startswith(
         "By their metadata, the images differ in settings (exposure 1 s to 2 s)"
     )
+    assert found.findings[1].startswith("0.jpg, 1.jpg, 2.jpg and others are JPEG")
 
 
 def test_a_flat_of_a_joint_measurement_that_does_not_belong_is_named():

@@ -11,6 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -23,13 +24,14 @@ from scipy.special import ndtri
 from jaxvision import ArrayLike, as_array, as_vec
 from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
-from jaxvision.files.images import read_image
+from jaxvision.files.images import JPEG_FORMATS, read_image
 from jaxvision.geometry import angle_between, mirror_direction
 from jaxvision.geometry.hemisphere import local_frame
 
 from ...frame_checks.frame import frame_sample, refuse_half
 from ...frame_checks.heads import Stated, different_settings, odd_heads
 from ...frame_checks.levels import odd_frames
+from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...lights.file import read_lights
 from ...noise.settings import require_one_setting
@@ -189,7 +191,7 @@ class Photographs:
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
         return self.dn >= self.clip
 
-    def of_pixels(self, some: slice) -> "Photographs":
+    def of_pixels(self, some: slice | Bool[np.ndarray, " pixels"]) -> "Photographs":
         """Return the photographs of some pixels."""
         own = {name: getattr(self, name)[some] for name in ("normals", "rows", "columns")}
         seen = {n: getattr(self, n)[:, some] for n in ("wi", "cosine", "mirror_angle", "falloff")}
@@ -388,6 +390,13 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
         remarks.append(
             f"By their metadata, the images differ in settings ({settings}). The rig states none "
             "for lights, so their intensities must include these settings."
+        )
+    lossy = [one.file for one in kept if Path(one.file).suffix.lower() in JPEG_FORMATS]
+    if lossy:
+        remarks.append(
+            f"{listed([*lossy[:3], *['others'] * (len(lossy) > 3)])} "
+            f"{'are' if len(lossy) > 1 else 'is'} JPEG, which blurs narrow highlights and encodes "
+            "colours as sRGB in most cameras; no interval includes the blur."
         )
     return rig.model_copy(update={"light": kept}), remarks
 

@@ -28,6 +28,7 @@ DARK, SHARE = 0.01, 0.05  # of the brightest: an unlit pixel; reported share of 
 MOST, FEWEST_LEFT = 0.5, 3  # largest share of images left out; fewest fitted images that stay
 CAMERA = np.array([0.0, 0.0, 1.0])
 BRIGHTER = 1.15  # least factor of an image that is brighter or dimmer than the others
+UNCHANGED = 0.04  # of the usual change between lights: below it a pixel does not see light
 SIDE = 0.3  # cosine of incidence from which a pixel faces a light
 CHANGES = {
     "the sign of y turned around": lambda v: v * [1, -1, 1],
@@ -101,11 +102,13 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 
 def without_strangers(observation: Photographs) -> Photographs:
-    """Leave out images that are dark or saturated throughout, and copies of other images. If most
+    """Leave out images that are dark or saturated throughout, copies of other images, and dead or
+    hot pixels. If most
     images agree with the stated lights, also leave out images whose shading contradicts the stated
     direction or intensity. A finding reports each omitted image. If more than half of the
     images, or all but a few, would be left out, no image is left out.
     """
+    observation = _without_dead_pixels(observation)
     reasons = {
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()
@@ -141,6 +144,24 @@ def without_strangers(observation: Photographs) -> Photographs:
         return observation
     sentences = (f"{names[i]} was left out: {why}." for i, why in sorted(reasons.items()))
     return replace(observation.of_lights(kept), findings=(*sentences, *observation.findings))
+
+
+def _without_dead_pixels(observation: Photographs) -> Photographs:
+    """Leave out pixels whose readings do not change with the light, and report them."""
+    driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff
+    expected = np.ptp(driven * np.maximum(observation.cosine, 0), axis=0)
+    clear = expected > SIDE * expected.max()
+    change = np.ptp(observation.dn, axis=1).min(axis=0) / np.maximum(expected, 1e-300)
+    dead = clear & (change < UNCHANGED * np.median(change[clear]))
+    count = int(dead.sum())
+    if not 0 < count < SHARE * len(dead):
+        return observation
+    sentence = (
+        f"{count} pixels of the object read the same under all lights and were left out: they are "
+        "dead or hot pixels of the sensor, or black spots of the surface."
+    )
+    left = observation.of_pixels(~dead)
+    return replace(left, findings=(sentence, *observation.findings))
 
 
 def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
