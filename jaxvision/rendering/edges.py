@@ -104,8 +104,11 @@ class Edges(Shown):
     compared with central differences. In the median scene, the two differed by 0.3 %, 0.2 % and 0.4
     % to 1.2 % of the gradient's length with respect to the parameters of the camera, the lamp and
     the shapes. In the worst scene, the difference was 2 %, 0.3 % and 4 % to 19 %. More nodes make
-    the derivatives for small shapes more accurate. With `samples` through a thin lens, the
-    derivatives of the sum and of the middle of a blurred disc are accurate to 1 %.
+    the derivatives for small shapes more accurate. The rest of the derivative, inside the edges, is
+    a mean over the rays of a pixel and needs many `samples` where a surface is seen at a grazing
+    angle: in 8 scenes of one shape, 7 to 12 pixels wide, the largest difference was 49 % with 16
+    samples and 2.7 % with 1024; the median was 0.2 % with either. With `samples` through a thin
+    lens, the derivatives of the sum and of the middle of a blurred disc are accurate to 1 %.
 
     The cost is proportional to the side of the picture, not to its area or the number of samples.
     For four shapes on a floor in 64 x 64 pixels, edges made a gradient 2.2 times slower with 16

@@ -513,8 +513,9 @@ def _cut_short(
     if not cut.any():
         return []
     most = "at least " if needed.max() >= _FACES else "up to "
+    share = f"{100 * cut.mean():.2g} %"
     return [
-        f"Cut: depth = {depth} ends light on its way by {faces} in {cut.mean():.0%} of the pixels, "
+        f"Cut: depth = {depth} ends light on its way by {faces} in {share} of the pixels, "
         f"where {most}{needed.max()} pieces lie between eye and lamp; set depth to "
         f"{needed.max()} or more."
     ]
