@@ -194,7 +194,7 @@ def test_a_widening_goes_along():
         assert found.noise > 2
         both = fitted(line(SECOND, found.as_prior()))
     (told,) = [one for one in both.findings if "The prior comes from a fit with a misfit" in one]
-    assert f"widened by {found.noise:.3g}" in told
+    assert f"are multiplied by {found.noise:.3g}" in told
     expected = np.linalg.inv(
         np.linalg.inv(found.posterior.covariance) + COLUMNS[SECOND].T @ COLUMNS[SECOND] / SD**2
     )
