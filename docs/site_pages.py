@@ -139,7 +139,8 @@ def label_errors(app, doctree):
 
 
 def short_types(app, domain, kind, content):
-    """Write types as in source code in autodoc's text on arguments and results."""
+    """Replace the types that autodoc prints for arguments and results by the notation of the source
+    code."""
     for name, types in app.env.current_document.autodoc_annotations.items():
         names = names_where(pydoc.locate(name)) if types else {}
         types.update({key: plain_type(text, names, app.entry) for key, text in types.items()})

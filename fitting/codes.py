@@ -169,8 +169,9 @@ class Codes:
         else None.
 
         The logarithms of the counts of a noisy black level are a parabola with curvature -1 / s^2
-        for noise of s codes. If this holds above the smallest code, and that code has more counts
-        than the parabola predicts, those of the codes below are among them.
+        for noise of s codes. If the codes above the smallest code follow this parabola, and the
+        smallest code has more counts than the parabola predicts, then its counts include clipped
+        pixels.
         """
         used = np.flatnonzero(self._whole)
         if self._broken.size or used.size < FEWEST_WHOLE or np.ptp(np.diff(used[:4])):

@@ -1,4 +1,4 @@
-"""What the sub-commands of `jaxvision-fit` share: options, registration, and execution.
+"""Options, registration and execution of the sub-commands of `jaxvision-fit`.
 
 For bad input, a command prints one sentence on standard error and exits with status 2. After an
 interrupt it exits with status 130. A command prints and writes its results only when all of them

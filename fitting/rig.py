@@ -276,13 +276,13 @@ class Camera(_Known):
 
     @property
     def in_parts(self) -> bool:
-        """Return whether each amplifier reads a part of the frame."""
+        """Return whether each amplifier reads its own contiguous part of the frame."""
         return isinstance(self.taps, str)
 
     @property
     def layout(self) -> tuple[int, int]:
-        """Return the number of rows and columns of sites. They are those of the cell or, if the
-        frame has parts, of the cells of all parts side by side.
+        """Return the number of rows and columns of sites: the size of the cell or, if the frame has
+        parts, of the cells of all parts side by side.
         """
         (down, across), (rows, columns) = self.cell, PARTS.get(str(self.taps), (1, 1))
         return down * rows, across * columns

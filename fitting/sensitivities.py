@@ -226,7 +226,8 @@ def from_patches(
     """Estimate the sensitivities of a camera from its readings of known spectra.
 
     The spectra may be those of a chart's patches (illuminant times reflectance), of narrow bands of
-    light, or both. Readings are linear in the light, of one exposure, and without black level.
+    light, or both. Readings must be linear in the light and must come from one exposure, with the
+    black level subtracted.
 
     Args:
         readings: (patches, channels) readings, NaN where saturated.

@@ -231,8 +231,9 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
 
 
 def _describe(x: Any, *, static: bool = False) -> str:
-    """Describe what a program depends on in an argument: dtype and shape of arrays, and the value
-    of everything else. Raise `TypeError` for types that this distribution does not define.
+    """Describe the properties of an argument on which a program depends: dtype and shape of arrays,
+    and the value of everything else. Raise `TypeError` for types that this distribution does not
+    define.
     """
     if type(x) in (tuple, list):
         return f"({','.join(_describe(part, static=static) for part in x)})"

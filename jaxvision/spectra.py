@@ -147,8 +147,9 @@ def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     """Return the width of the interval that each sample of a spectrum represents.
 
-    The width is half the distance between both neighbours; an end sample has a full step. On an
-    even grid every width is the step, so an integral is the sum times the step, as in CIE 15:2018.
+    The width is half the distance between the two neighbours. The width of an end sample is the
+    distance to its only neighbour. On an even grid every width is the step, so an integral is the
+    sum times the step, as in CIE 15:2018.
 
     Args:
         wavelengths: (bands,) m, ascending, at least two.

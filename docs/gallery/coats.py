@@ -1,4 +1,4 @@
-"""What rough and coated surfaces do with light
+"""Reflection by rough and coated surfaces
 
 The share of the light that a white surface returns, as a function of the viewing angle. Rough
 facets with single reflections lose light. A white body that is not attenuated by the lobe above it

@@ -232,8 +232,8 @@ def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
 def _clipped(
     seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, seed: int, *, overrated: bool
 ) -> list[str]:
-    """Return findings about values at which data accumulate and beyond which the fit predicts many
-    data.
+    """Return a finding for each end of the range at which data are clipped: many data are equal to
+    the end value, and the fit predicts many data beyond it.
     """
     found, total = [], int(counts.sum())
     for name, side in (("largest", 1), ("smallest", -1)):

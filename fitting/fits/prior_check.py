@@ -6,8 +6,8 @@ prior is N(0, 1). A prior density that decreases from its lower end is half a no
 scale g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of the log posterior at its mode, u the
 unconstrained parameters, h the contribution of prior i to H_ii, and V = (H^-1)_ii. Without that
 prior the variance is c = V / (1 - h V). The mode moves by c dL/du_i, where L is the log density of
-all other terms. At the mode its slope is minus that of the prior. With g taken at the moved mode,
-prior and other information differ by z standard deviations:
+all other terms. At the mode, dL/du_i is minus the slope of the log prior. With g taken at the moved
+mode, prior and other information differ by z standard deviations:
 
     z = g / sqrt(1 + c (dg/du)^2).
 

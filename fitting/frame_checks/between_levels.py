@@ -40,8 +40,9 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def dark_levels(levels: ComparedLevels) -> None:
-    """Remove saturated levels of darks, and those whose mean deviates from a line over exposure
-    through the others, as the dark current gives it. For darks, `light` is the exposure."""
+    """Remove saturated levels of darks. Also remove a level if its mean deviates from a line over
+    exposure through the other levels; the dark current makes the mean linear in exposure. For
+    darks, `light` is the exposure."""
     for level, frames in enumerate(levels.frames):
         top = float(np.mean([frame.at_top for frame in frames])) if frames else 0.0
         if top > SATURATED:

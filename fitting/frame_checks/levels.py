@@ -85,9 +85,9 @@ def _parted(
     expected: Float[np.ndarray, " frames"] | None,
 ) -> Bool[np.ndarray, " frames"] | None:
     """Return a mask of the frames that are farther than `limit` from the median of their level. If
-    at least half of the frames are, the frames that are farthest from the prediction of the other
-    levels, by the distances `expected`, are marked instead. Return None if these distances do not
-    determine which frames deviate."""
+    this marks at least half of the frames, frames that are far from the prediction of the other
+    levels are marked instead; `expected` is the distance of each frame from this prediction. Return
+    None if these distances do not determine which frames deviate."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far

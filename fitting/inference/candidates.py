@@ -172,8 +172,8 @@ def price(
 def weakest(
     ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
 ) -> str | None:
-    """Return the unrequired candidate of smallest gain over threshold; None if all exceed
-    theirs."""
+    """Return the candidate with the smallest ratio of gain to threshold, among those that no other
+    candidate requires; None if every gain exceeds its threshold."""
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
     least = min(shares, key=shares.__getitem__, default=None)
@@ -181,7 +181,8 @@ def weakest(
 
 
 def numbers_of(candidate: Candidate, space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """Return a mask of the numbers in a parameter space that belong to the candidate."""
+    """Return a mask over the scalar parameters of a space: True for those that belong to the
+    candidate."""
     return np.array([candidate.name in (one.name, whole_name(one.name)) for one in space])
 
 

@@ -273,8 +273,9 @@ def _made_possible(
 
 
 def _due(steps: int, block: int) -> bool:
-    """Return whether to assess the chain, which costs as much as many steps: ever less often, and
-    by the number of steps alone, so that an interrupted run gives the same chain."""
+    """Return whether to assess the chain. An assessment costs as much as many steps, so the
+    intervals between assessments grow. They depend only on the number of steps, so that an
+    interrupted run gives the same chain."""
     blocks, rest = divmod(steps, block)
     if rest or blocks < 2:
         return rest == 0 and blocks == 1

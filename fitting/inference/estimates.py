@@ -119,8 +119,9 @@ def gaussian_estimate(
 def reach_from_end(
     distance: Float[np.ndarray, "draws ..."], level: float
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Return whether draws accumulate at an end of their range, where a shortest interval begins
-    because its density is no less than at its other end, and the length of that interval."""
+    """Return whether a shortest interval begins at the end of the range from which `distance` is
+    measured, and the length of that interval. It begins there if the density of the draws at this
+    end is at least the density at the other end of the interval."""
     reach = np.quantile(distance, level, axis=0)
     width = END_SHARE * reach
     first = np.sum(distance < width, axis=0)

@@ -10,8 +10,9 @@ the weighted draws. This is repeated until the effective number of draws is larg
 importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers have bounds, half of
 the proposals are made on the scale of the numbers themselves. A ridge that is straight on that
 scale is curved on the unconstrained one, where a Student's t distribution does not reach both of
-its ends. Where the volume of the other parameters changes along a parameter, `ridge` tabulates its
-integrated density, and the proposals follow it. The returned draws are resampled by their weights.
+its ends. If the volume of the other parameters changes along a parameter, `ridge` tabulates the
+integrated density of this parameter, and the proposals follow that density. The returned draws are
+resampled by their weights.
 """
 
 from collections.abc import Sequence
@@ -86,9 +87,10 @@ def laplace_where_it_holds(
             computes it.
         by_chain: whether to run emcee where importance sampling fails. Otherwise the posterior is
             Laplace's, and names the parameter that it describes badly.
-        local: the derivatives of minus `log_density`. With them, the volume of the other
-            parameters is tested too: where it changes along a parameter, that parameter's most
-            probable value is not that of the mode, and draws follow its integrated density.
+        local: the derivatives of minus `log_density`. With them, the volume of the other parameters
+            is tested too. If this volume changes along a parameter, the parameter's most probable
+            value differs from its value at the mode. Draws then follow the parameter's integrated
+            density.
 
     Returns:
         The posterior.
@@ -176,10 +178,10 @@ def without_mode(
     seed: int,
     local: Local,
 ) -> Posterior | None:
-    """Return draws along one parameter where all parameters together have no mode, as for the
-    standard deviation of effects without an upper bound. None if no parameter's integrated density
-    falls to both sides. `end` is where the search ended, and `curvature` the one there; the other
-    arguments are those of `laplace_where_it_holds`.
+    """Return draws along one parameter if the posterior has no joint mode, as for the standard
+    deviation of effects without an upper bound. None if no parameter's integrated density decreases
+    on both sides. `end` is the vector at which the search ended, and `curvature` the curvature at
+    `end`; the other arguments are as in `laplace_where_it_holds`.
     """
     run = (log_density, space, end, covariance, args, curvature)
     found = _along_a_ridge(*run, seed=seed, local=local)
@@ -199,8 +201,9 @@ def _along_a_ridge(
     seed: int,
     local: Local,
 ) -> Posterior | None:
-    """Draw along the first parameter whose draws are enough, those first along which the others'
-    information changes most; None if there is none."""
+    """Draw along one parameter. Parameters are tried in the order of decreasing change of the other
+    parameters' information; the first that gives enough effective draws is used. None if none
+    does."""
     if len(space) == 1:
         return None
     centre = np.asarray(mode, np.float64)

@@ -372,7 +372,8 @@ def apply_joint_prior(
 
 
 def restrict(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
-    """Marginalise a prior over all numbers but those of the given names; None if none remains."""
+    """Keep the numbers of the given names and marginalise a prior over all others; None if none
+    remains."""
     sizes = [math.prod(shape) for shape in prior.shapes]
     chosen = np.flatnonzero(np.repeat([name in kept for name in prior.names], sizes))
     if not chosen.size:

@@ -14,8 +14,9 @@ returns the likelihood adapted to the data. A field that is a string names a par
 into a record, and is replaced by its value.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the standard
-normal quantile of the cumulative probability of a datum. If a datum covers an interval, such as a
-clipped one, `chance`, uniform on 0 .. 1, selects a point in it.
+normal quantile of the cumulative probability of a datum. A clipped datum or a count corresponds to
+an interval of cumulative probability. `chance`, uniform on 0 .. 1, selects a point in this
+interval.
 """
 
 from collections.abc import Callable
@@ -262,8 +263,8 @@ class Censored(eqx.Module):
         return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Return the residuals in standard deviations; for a clipped datum, that of a random point
-        beyond the end.
+        """Return the residuals in standard deviations. The residual of a clipped datum is the
+        residual of a random point beyond the end.
         """
         xp, _ = numerics(prediction, data, self)
         data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))

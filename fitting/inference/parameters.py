@@ -242,7 +242,7 @@ def _out_of_bounds(v: Array, a: float, b: float) -> Array:
 
 
 def _log_slope(u: Array, a: float, b: float) -> Array | None:
-    """Return ln dv/du; None where it is 0."""
+    """Return ln dv/du; None for a parameter without bounds, where v = u."""
     xp = numpy_or_jax(u)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:

@@ -1,13 +1,13 @@
 """A posterior along one number, with the others integrated by Laplace's method.
 
-The mode of all numbers together may be far from the probable values of one of them. A common case
-is the standard deviation among groups whose effects are fitted beside it. With u one number and v
-the others, whose best values and information at u are v(u) and I(u),
+The joint mode may be far from the probable values of a single number. A common case is the standard
+deviation among groups whose effects are fitted at the same time. Let u be one number and v the
+others. At fixed u, let v(u) be the best values of v, and I(u) the information about v. Then
 
     ln p(u | data) = ln p(u, v(u) | data) - ln det I(u) / 2
 
-up to a constant. Draws take u from this density, tabulated, and v about v(u). Their weights by the
-density itself make them exact.
+up to a constant. A draw takes u from a table of this density, and v from a distribution centred at
+v(u). The draws are weighted by the exact posterior density, so the result is exact.
 
 Source:
     Tierney & Kadane, "Accurate Approximations for Posterior Moments and Marginal Densities",
@@ -35,7 +35,7 @@ FREEDOM = 5.0  # degrees of freedom of half of the proposals; the others are Gau
 
 @dataclass(frozen=True)
 class Ridge:
-    """The density of one number u, and the others about their best values.
+    """The density of one number u, and the best values of the others at each u.
 
     Attributes:
         index: of u among the P numbers.
@@ -53,15 +53,16 @@ class Ridge:
 
     @property
     def mode(self) -> Float[np.ndarray, " parameters"]:
-        """The most probable u, with the others at their best values."""
+        """Return the vector of the most probable u and the best values of the others."""
         return self.centres[np.argmax(self.log_density)]
 
 
 def volume_change(
     curvatures: Float[np.ndarray, "points parameters parameters"],
 ) -> Float[np.ndarray, " parameters"]:
-    """For each number, the largest change of ln det I / 2 of the others, from the curvatures at a
-    mode and at steps of each number up and then down. Infinite where a curvature is no information.
+    """Return, for each number, the largest change of ln det I / 2, where I is the information about
+    the other numbers. The curvatures are at a mode, then at a step up and then at a step down of
+    each number. The result is infinite where a curvature is not positive definite.
     """
     count = curvatures.shape[-1]
     middle = np.array([_volume(curvatures[0], i) for i in range(count)])
@@ -73,7 +74,7 @@ def widest_first(
     curvatures: Float[np.ndarray, "points parameters parameters"],
     scales: Float[np.ndarray, " parameters"],
 ) -> np.ndarray:
-    """Order the numbers by how many others change their information with them.
+    """Order the numbers by how strongly the information about the other numbers changes along them.
 
     Args:
         curvatures: at a mode and at steps of each number alone, up and then down.
@@ -104,8 +105,8 @@ def ridge(
     *,
     digit: float,
 ) -> Ridge | None:
-    """Tabulate the density of one number. `digit` is the unit of rounding of the costs. None if the
-    density does not fall on both sides, or the others have no best values."""
+    """Tabulate the density of one number. `digit` is the rounding unit of the costs. None if the
+    density does not decrease on both sides, or if the other numbers have no best values."""
     others = np.delete(np.arange(len(mode)), index)
     step = covariance[index] / np.sqrt(covariance[index, index])
     low, high = -FIRST_END, FIRST_END
@@ -154,8 +155,9 @@ def ridge(
 def proposed(
     along: Ridge, units: Float[np.ndarray, "draws coordinates"]
 ) -> tuple[Float[np.ndarray, "draws parameters"], Float[np.ndarray, " draws"]]:
-    """Return vectors and their log density up to a constant, from P + 2 uniform numbers each: for
-    u, the others, the width of Student's t, and whether to use it."""
+    """Return vectors and their log density up to a constant. Each vector is made from P + 2 uniform
+    numbers: one for u, P - 1 for the other numbers, one for the width of Student's t, and one that
+    selects Student's t or a Gaussian."""
     place, cell, share, log_density = _on_table(along, units[:, 0])
     size = along.centres.shape[1] - 1
     stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, units[:, -2]))

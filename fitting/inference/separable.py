@@ -201,7 +201,8 @@ def _projected(
     weights: Float[Any, "observations bands"],
 ) -> tuple[Float[np.ndarray, "knots bands columns"], Float[np.ndarray, " knots"]]:
     """Return the best amplitudes and the cost, summed over bands, for each of several searched
-    columns. NumPy sums over observations, so that JAX compiles nothing for a new number of them."""
+    columns. The sums over observations use NumPy, so that JAX compiles no program for a new number
+    of observations."""
     columns, fixed, values, weights = map(np.asarray, (columns, fixed, values, weights))
     weighted = weights * values
     own = np.square(columns) @ weights

@@ -167,8 +167,9 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
 def _row_leaves(
     first: Any, inputs: Any, likelihood: Any, *, yielded: bool
 ) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
-    """Return inputs and likelihood, and which of their arrays have one row for each row of data. A
-    function yields inputs with its data; then those of its first piece are returned.
+    """Return the inputs and the likelihood, and for each of their arrays whether it has one row for
+    each row of data. If a function yields the inputs with the data, the inputs of the first piece
+    are returned.
     """
     if not yielded:
         beside, known = (inputs, likelihood), len(first)

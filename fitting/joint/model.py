@@ -23,11 +23,11 @@ the error is a parameter. The errors and their effects are:
 
 Here u and g are standard normal numbers, and E is the irradiance. The misfit represents a surface
 that the model does not describe. The misfit grows like photon noise, so that neither shadows nor
-highlights dominate. The relative size of the misfit is rho. With n the number of pixels of a cell
-and P that of the widest cells, a part of the image has the same weight whether or not its cells are
-divided. W_0 is a tenth of full scale. D is the digital number above black by the cells' reference
-model. If D were predicted by the fitted model, the fit could increase the misfit where the model
-fails.
+highlights dominate. The relative size of the misfit is rho. n is the number of pixels of a cell,
+and P is the number of pixels of the widest cells. With the factor P / n, a part of the image has
+the same weight whether or not its cells are divided. W_0 is a tenth of full scale. D is the digital
+number above black by the cells' reference model. If D were predicted by the fitted model, the fit
+could increase the misfit where the model fails.
 
 Errors that the rig does not state are not part of the model.
 """

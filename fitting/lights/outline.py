@@ -141,8 +141,8 @@ def edge_beside_mask(
 def _edge(
     picture: Float[np.ndarray, "h w"], circle: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"] | None:
-    """Return the change of a circle to that of the steepest steps along its radii, pixels; None if
-    these are not on a circle.
+    """Find the steepest step of the light along each radius, fit a circle to these places, and
+    return its change from `circle`, pixels; None if the places are not on a circle.
     """
     column, row, radius = circle
     turn = 2 * np.pi * np.arange(RAYS) / RAYS

@@ -83,8 +83,8 @@ def extra_in_flats(
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """Return the measurement after reduction of the row and column noise of its flats to that of
-    its darks."""
+    """Return the measurement with the row and column noise of its flats reduced to the row and
+    column noise of its darks."""
     bright = measurement.bright
     if not flicker or bright.shared is None:
         return measurement

@@ -275,8 +275,8 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
     """Return the dark signal of each dark in DN, from a line through their means over exposure.
-    With fewer than three exposures it is 0, and dark electrons count as read noise, as in the
-    likelihood of means and variances."""
+    With fewer than three exposures the result is 0, and the fit treats the noise of dark electrons
+    as read noise. The likelihood of means and variances does the same."""
     dark = measurement.dark
     exposure, mean = np.asarray(dark.exposure), np.asarray(dark.mean)
     if len(np.unique(exposure)) < TREND:

@@ -6,12 +6,12 @@ model needs one row: its record with unit k_s, and the name, unit and range of i
 Lobes are centred on the mirror direction or on the half vector. A rough diffuse surface has a shape
 parameter but no lobe.
 
-The facets of `torrance-sparrow` are GGX, as in the record's default, and those of
-`torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. The Fresnel
-term of both is that of a clear dielectric of a given index of refraction. The index is never
-fitted, because k_s and the normal reflectance enter only as their product, except at grazing
-angles. Facets of `torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is a
-good approximation for metals. In `eon` the interreflection between facets is that of white facets,
+`torrance-sparrow` has GGX facets, as the record has by default. `torrance-sparrow-beckmann` has
+Beckmann facets. Both have Smith's height-correlated shadowing and the Fresnel term of a clear
+dielectric with a given index of refraction. The index is never fitted, because k_s and the normal
+reflectance enter only as their product, except at grazing angles. Facets of
+`torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is a good
+approximation for metals. In `eon` the interreflection between facets is computed for white facets,
 so that k_d is an amplitude in any unit of light.
 """
 

@@ -99,8 +99,9 @@ class Stereo:
             Lambertian, on images without light, and on normals that belong to no surface in the
             axes of the image.
         materials: by label, the parameters that its pixels share, with their standard deviations.
-            For a lobe these are the amplitude, in the unit of the albedo (times that of the model's
-            k_s), and the shape. For a rough surface it is the roughness. Empty for Lambert's law.
+            For a lobe the parameters are the amplitude, in the unit of the albedo times the unit of
+            the model's k_s, and the shape. For a rough surface the parameter is the roughness.
+            Empty for Lambert's law.
     """
 
     normals: Float[np.ndarray, "h w 3"]

@@ -164,7 +164,8 @@ class _Pixels:
     def search(
         self, g: Vectors, shared: np.ndarray, scale: float, steps: int
     ) -> tuple[float, np.ndarray, Vectors]:
-        """Return cost, shared logarithms and g after Gauss-Newton steps."""
+        """Minimise the cost by damped Gauss-Newton steps in the shared log parameters; return the
+        cost, the shared log parameters, and g of each pixel."""
         low, high = log_range(self.model)
         g = self.normals(g, shared, scale, 6)
         cost, damping = self.cost(g, shared, scale), 1e-3

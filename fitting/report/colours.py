@@ -14,7 +14,8 @@ OF_TAPS = "0.5", "tab:orange", "tab:purple", "tab:cyan"
 
 
 def colour_of(channel: str) -> str:
-    """Return the colour of a channel; of taps alone, each has its own."""
+    """Return the colour of a channel. If taps are the only channels, each tap has its own
+    colour."""
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]

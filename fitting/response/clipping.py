@@ -8,9 +8,9 @@ clipped.
 A camera that blurs its picture may also hide a clipped peak: after the blur, the codes of the peak
 are below the clip level. The next shorter exposure reveals such hidden peaks. Pixels around a
 hidden peak are darker in the longer exposure than other pixels with the same code in the shorter
-exposure. Without hidden peaks, pixels with the same code in the shorter exposure are equally bright
-in the longer exposure. If the mean difference is significant given its scatter over tiles of the
-picture, pixels around the hidden peaks also count as clipped.
+exposure. If no peak is hidden, all pixels with the same code in the shorter exposure have the same
+mean code in the longer exposure. If the mean difference is significant given its scatter over tiles
+of the picture, pixels around the hidden peaks also count as clipped.
 """
 
 import numpy as np

@@ -359,9 +359,9 @@ def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
-    """Return the exponent p for which the exposures of one curve are those of another to the power
-    p, and the standard error of p. The error assumes that the errors of all codes are fully
-    correlated."""
+    """Return the exponent p for which the exposures of one curve equal the exposures of another
+    raised to the power p, and the standard error of p. The error assumes that the errors of all
+    codes are fully correlated."""
     codes = curve.codes[curve.seen]
     x = np.interp(codes, reference.codes, reference.log_exposure)
     x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)

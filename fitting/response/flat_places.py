@@ -1,4 +1,4 @@
-"""Correction of a response curve to that of flat parts of the picture.
+"""Correct a response curve to the curve of flat parts of the picture.
 
 A camera that sharpens adds to each code a fraction of its difference from the surrounding codes.
 Where the picture has detail, pixels with equal light then have different codes. Unless the response

@@ -1,4 +1,4 @@
-"""Jackknife errors of a curve: its scatter over tiles of the picture, and over exposures.
+"""Jackknife errors of a curve, over tiles of the picture and over exposures.
 
 A jackknife repeats the fit without each tile, or without each exposure. For the fit without tile k,
 the normal equations of the other tiles are added. For the fit without exposure j, the statistics of
@@ -7,9 +7,10 @@ fits with the curves g_(k), the covariance of the curve is
 
     V = (T - 1) / T  sum_k (g_(k) - mean)(g_(k) - mean)^T.
 
-Both jackknives also contain pixel noise, which is subtracted because the covariance of the fit
-contains it (two-way clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fit
-without an exposure predicts that exposure, and the error of the prediction is an independent test.
+Each jackknife covariance includes pixel noise. Pixel noise is subtracted from both, because the
+covariance of the fit already includes it (two-way clustering: Cameron, Gelbach & Miller, J. Bus.
+Econ. Stat. 29, 2011). The fit without an exposure predicts that exposure, and the error of the
+prediction is an independent test.
 """
 
 from collections.abc import Sequence

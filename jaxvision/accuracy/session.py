@@ -72,7 +72,7 @@ class Session:
         return self.seconds - self.taken
 
     def wait_for_the_rest(self) -> None:
-        """Wait for abandoned work, beside which timings would be too long."""
+        """Wait for abandoned work to end, because timings taken while it runs would be too long."""
         until = self.taken + WAIT * self.left
         wait_for_the_rest(lambda: until - self.taken)
 

@@ -258,9 +258,9 @@ def samples_of(
     """Evaluate f_r (without the cosine) of any material on a grid of angles, as samples to fit.
 
     The samples are all a * d * b * c combinations of the angles. The index of theta_i varies most
-    slowly, then those of phi_i, theta_o and phi_o. `values.reshape(a, b, c, bands)` has the order
-    of an `IsotropicTable` over phi_o, and `values.reshape(a, d, b, c, bands)` that of an
-    `AnisotropicTable`.
+    slowly, followed by the indices of phi_i, theta_o and phi_o. `values.reshape(a, b, c, bands)`
+    has the order of an `IsotropicTable` over phi_o, and `values.reshape(a, d, b, c, bands)` that of
+    an `AnisotropicTable`.
 
     Args:
         material: any material with a BRDF in sr^-1.

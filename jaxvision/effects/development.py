@@ -1,7 +1,7 @@
 """Bound the factor by which each step of a development can magnify a change of the raw data.
 
-Tolerances in DN refer to the raw data. Of the development, only steps that change nothing are
-dropped. The product of the factors converts a bound on the raw data to a bound on the developed
+Tolerances in DN refer to the raw data. A step of the development is dropped only if it changes
+nothing. The product of the factors converts a bound on the raw data to a bound on the developed
 picture. The factor of a step is its Lipschitz constant in the maximum norm over pixels: if every
 input number changes by at most d, every output number changes by at most the factor times d. For
 random images, d is the root mean square change in some coupling of the two images. A step without a

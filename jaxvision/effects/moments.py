@@ -73,7 +73,8 @@ def _moved(
 
 
 def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """Yield the largest bound of each effect over all times; what comes and goes is kept."""
+    """Yield the largest bound of each effect over all times. An effect that is present at some
+    times only is never dropped."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

@@ -10,7 +10,8 @@ the camera's axis, a visible point with |X / Z| <= M moves in the picture by
 times the distance to the sensor over the pixel pitch, in pixels. Rays through a point of the
 aperture at most r from the axis have slopes up to M + r / z_f, with the focus distance z_f. There
 is no bound on the change of shading: a body that rotates or passes a lamp changes its own shading
-and the shadows around it. The rank of the result is therefore "estimate", unless nothing moves.
+and the shadows around it. Therefore the result is ranked "estimate" instead of "bound", unless
+nothing moves.
 """
 
 from collections.abc import Callable, Sequence

@@ -32,7 +32,8 @@ _probe = jax.jit(render, compiler_options=FAST)
 
 
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
-    """Return a `Row` for every effect; for a view, only those of the scene and the lens."""
+    """Return a `Row` for every effect. For a view, only the effects of the scene and the lens are
+    included."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture

@@ -35,8 +35,8 @@ Advance = Callable[[int, int], Any]
 
 
 class _Part(NamedTuple):
-    """One program of a picture: `kind` is equal for equal programs, `run` calls the program, and
-    `times` is the number of calls in a picture."""
+    """One program that takes part in making a picture. Equal programs have the same `kind`. `run`
+    calls the program once, and a picture takes `times` calls."""
 
     kind: Hashable
     run: Callable[[], Any]

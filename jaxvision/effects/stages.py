@@ -146,8 +146,8 @@ class Arriving(NamedTuple):
     """Bounds on the light from the scene to the camera. `radiance`, (bands,) W m^-2 sr^-1, is the
     supremum of the picture, or inf if there is no bound. `near` and `far`, in m along the camera's
     axis, are the smallest and largest depth that may be in view; `far` is inf for an infinite
-    plane. `turning`, (bands,) W m^-2 sr^-1, is the largest difference in the radiance of a point
-    between two points of the lens."""
+    plane. `turning`, (bands,) W m^-2 sr^-1, is the largest difference between the radiances that a
+    point sends to two points of the lens."""
 
     radiance: np.ndarray
     near: float
@@ -165,10 +165,11 @@ class OnSensor(NamedTuple):
 
 
 class Response(NamedTuple):
-    """The response of the sensor to a change. `dn` maps a change of irradiance, (bands,) W m^-2, in
-    any pixel, and the names of dropped effects to the largest change of a pixel's distribution, in
-    DN. The names matter because a change of the shot noise has a larger effect if there is less
-    other noise. `dark` is the rms of all noise in the dark, in DN, which is the unit "sigma"."""
+    """The response of the sensor to a change of the light. `dn` takes a change of irradiance in any
+    pixel, (bands,) W m^-2, and the names of the dropped effects. It returns the largest change of a
+    pixel's distribution, in DN. It needs the names because a change of the shot noise has a larger
+    effect if there is less other noise. `dark` is the rms of all noise in the dark, in DN; the unit
+    "sigma" means multiples of `dark`."""
 
     dn: Callable[[np.ndarray, Gone], float]
     dark: float

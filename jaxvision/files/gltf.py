@@ -84,7 +84,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """Refuse a node with a matrix beside another transform, or a rotation of length 0."""
+    """Refuse a node that has both a matrix and another transform, or a rotation of length 0."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):

@@ -118,7 +118,8 @@ class _Numbers:
         return found
 
     def end(self) -> None:
-        """Refuse numbers left over; a decimal comma would turn one number into two."""
+        """Refuse a file that contains more numbers than needed. A decimal comma would split one
+        number into two."""
         left = self.words[self.taken :]
         if left and _is_number(left[0]):
             self.fail(

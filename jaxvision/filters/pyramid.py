@@ -184,8 +184,8 @@ def blend_by_pyramid(
     *,
     border: str = "mirror",
 ) -> Floats:
-    """Blend two pictures as Blend two pictures as mask first + (1 - mask) second, separately for
-    each band of spatial frequencies.
+    """Blend two pictures as mask first + (1 - mask) second, separately for each band of spatial
+    frequencies.
 
     Coarse structure is blended over a wide strip and fine detail over a narrow one, so that there
     is no visible seam.

@@ -141,7 +141,7 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
     """Return the responses of G2 and H2, rotated to an angle.
 
     With y up, the basis functions of G2 and H2 contain (x cos + y sin) to the second and third
-    power, so all signs are plus. (In the paper y points down, and some signs are minus.)
+    power, so all signs are plus. (In the paper y points down, so some signs are negative.)
 
     Args:
         basis: the responses of `quadrature_basis`.

@@ -32,7 +32,7 @@ def ball_around(shapes: Sequence[Shape]) -> Ball | None:
         shapes: at least one.
 
     Returns:
-        Centre and radius, m, constants for gradients; None if a shape is an unbounded plane.
+        Centre and radius, m, without a gradient; None if a shape is an unbounded plane.
 
     Example:
         >>> ball = jv.geometry.ball_around([jv.Sphere([0, 0, 0], 1.0), jv.Sphere([4, 0, 0], 1.0)])

@@ -135,8 +135,8 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
         ray: its origin in m.
 
     Returns:
-        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are at infinity and
-        add up. Without extended lights the radiance is a scalar 0.
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are at infinity, and
+        their radiances are added. Without extended lights the radiance is a scalar 0.
 
     Example:
         >>> sides = [0, 2, 0], [2, 0, 0]  # m

@@ -1,4 +1,4 @@
-"""How far a quadrature errs on receivers near a rectangle, by its closed form.
+"""Errors of a quadrature on receivers near a rectangle, by comparison with the closed form.
 
 The samples of an edge of length s lie too far apart for receivers at a distance below about .02 s
 at order 8.
@@ -44,7 +44,7 @@ class Near(NamedTuple):
     rule: Quadrature
 
     def sentence(self, name: str) -> str:
-        """Describe what the quadrature finds of the light of this name."""
+        """Describe the error of the quadrature for the light of this name."""
         return (
             f"{'Missing' if self.found < self.true else 'Too much'}: light of {name} at "
             f"{self.distance:.3g} m from it, where its irradiance is {self.true:.3g} W/m^2 and "
@@ -61,9 +61,10 @@ def found_near(
     *,
     least: float = 0.0,
 ) -> Near | None:
-    """Return what a quadrature finds of a rectangle if its mean error on receivers is large; else
-    None. `points`: (n, 3) m. `normals`: (n, 3) unit. `least`: receivers at a distance up to this
-    fraction of the longer edge do not count. Nothing is traced."""
+    """Compare a quadrature of a rectangle with the closed form. If the mean error over the
+    receivers is large, return the receiver with the largest error; else None. `points`: (n, 3) m.
+    `normals`: (n, 3) unit. `least`: receivers at a distance up to this fraction of the longer edge
+    do not count. No ray is traced."""
     corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
     size = max(np.linalg.norm(u), np.linalg.norm(v))
     across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
@@ -102,8 +103,9 @@ def _may_fail(nearest: float, order: int) -> bool:
 def _compared(
     light: RectangleLight, points: Array, normals: Array, facing: Array, order: int
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """Return the irradiance of receivers, that which a quadrature finds, and that of receivers that
-    face the light, each (n,) W m^-2, averaged over the bands."""
+    """Return three irradiances of each receiver, each (n,) W m^-2, averaged over the bands: the
+    closed form, the result of a quadrature, and the closed form for a receiver that faces the
+    light."""
     nodes, weights = (jnp.asarray(x, points.dtype) for x in square_nodes(order))
 
     def one(point: Array, normal: Array) -> tuple[Array, Array, Array]:
@@ -150,8 +152,8 @@ def warn_of_near_surfaces(
 def found_on_surfaces(
     light: RectangleLight, rule: Quadrature, surfaces: Sequence[Surface]
 ) -> Near | None:
-    """Return what a quadrature finds on the first surface on which its error is large, without
-    occlusion; None if there is none."""
+    """Return the result of `found_near` for the first surface on which the error is large, without
+    occlusion; None if there is no such surface."""
     for surface in surfaces:
         for points, normals in _receivers(surface.shape, light):
             normals = _turned(normals, light, surface)

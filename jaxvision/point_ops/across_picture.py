@@ -52,8 +52,8 @@ def graded_filter(
 def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
     """Multiply linear light by the falloff 1 + k_1 r^2 + k_2 r^4 + ...
 
-    r is the distance from the picture's centre, divided by that of a corner. For the cos^4 law of
-    an ideal lens use `optics`.
+    r is the distance from the picture's centre, divided by the distance of a corner. For the cos^4
+    law of an ideal lens use `optics`.
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.

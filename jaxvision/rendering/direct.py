@@ -117,7 +117,7 @@ def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
 
 
 class Met(eqx.Module):
-    """The point where a ray hits a surface, with what is needed for shading it; lengths in m."""
+    """The point where a ray hits a surface, with the data for its shading; lengths in m."""
 
     ray: Ray
     encounter: Encounter

@@ -34,8 +34,8 @@ _WIDEST = 2.0**20  # texels; a wider box is cut to it
 
 
 class Summed(Varying):
-    """A map with its summed-area table. `values`, `uv` and `wrap` are those of the map. `mean`,
-    (...), is the mean of the values, which is subtracted before summing. The table is the sum of
+    """A map with its summed-area table. `values`, `uv` and `wrap` are copied from the map. `mean`,
+    (...), is the mean of the values. It is subtracted before summing. The table is the sum of
     `high` and `low`, (rows + 1, columns + 1, ...). The entry (i, j) of the table is the sum of the
     texels above row i and left of column j."""
 
@@ -295,8 +295,8 @@ def patch_of(
 
 
 def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
-    """Return the vector along a surface, m, from the hit of a pixel's ray to that of the next
-    pixel."""
+    """Return the vector, m, from the point where a pixel's ray hits the surface to the point where
+    the next pixel's ray hits it."""
     distance = jnp.where(hit.distance < jnp.inf, hit.distance, 0)
     aside = change.origin + distance * change.direction
     slope = dot(hit.normal, ray.direction)

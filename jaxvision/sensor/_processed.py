@@ -1,9 +1,9 @@
-"""Signs that numbers are not those of a single raw frame of the camera.
+"""Recognise numbers that are not a single raw frame of the camera.
 
-Noise adds to the differences of neighbouring pixels, whatever the scene. Where these differences
-are smaller than the camera's noise makes them, frames were averaged, binned, denoised or scaled.
-Likewise, the differences of raw pixels must contain those of the dark and flat master frames.
-Pixels two apart are compared, because they have the same colour in a mosaic.
+In every scene, noise increases the differences of neighbouring pixels. If the differences are
+smaller than the camera's noise implies, frames were averaged, binned, denoised or scaled. Likewise,
+the pattern of the dark and flat master frames must appear in the differences of raw pixels. Pixels
+two apart are compared, because they have the same colour in a mosaic.
 """
 
 import numpy as np
@@ -33,8 +33,8 @@ def middle(frames: np.ndarray) -> Plane:
 
 
 def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
-    """Return weighted sums of pixels that are two apart, along columns and along rows, for a number
-    of pixels that is divided into blocks."""
+    """Return weighted sums of pixels that are two apart, along columns and along rows, cropped to
+    whole blocks."""
     reach = 2 * (len(weights) - 1)
     rows, columns = ((size - reach) // BLOCK * BLOCK for size in plane.shape)
     down = [plane[2 * i : 2 * i + rows, :columns] for i in range(len(weights))]
@@ -52,9 +52,10 @@ def _sums(values: Plane) -> np.ndarray:
 
 
 def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
-    """Return the variance of the second differences of pixels in the smoothest parts of a frame,
-    divided by the variance that their stated noise gives; 1 where too few pixels are usable: those
-    with light, whose noise exceeds the rounding of codes."""
+    """Return a frame's measured noise variance divided by its stated noise variance. The measured
+    variance comes from second differences of pixels in the smoothest parts of the frame. Only
+    pixels with enough light, and with more noise than the rounding of codes, are used. If they are
+    too few, the result is 1."""
     if min(image.shape) < BLOCK + 4:
         return 1.0
     weights = (1.0, -2.0, 1.0)
@@ -77,9 +78,9 @@ def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
 
 
 def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> bool:
-    """Return whether the differences of neighbouring pixels in a frame contain less than half of
-    those in a pattern, in which `noise` is the variance of its error. Differences are multiplied by
-    `weight`."""
+    """Return whether a frame contains less than half of a pattern, by a regression of the frame's
+    pixel differences on the pattern's. `noise` is the variance of the pattern's error. Differences
+    are multiplied by `weight`."""
     if min(frame.shape) < BLOCK + 2:
         return False
     weights = np.ravel(_along_both(weight, (1.0, 0.0)))

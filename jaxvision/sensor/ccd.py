@@ -81,16 +81,16 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
     """Return the electrons that are read after imperfect transfers along columns and the serial
     register.
 
-    Each transfer leaves the share eps of a packet behind, in the next packet. Of the packet of row
-    i, the expected share
+    Each transfer leaves the share eps of a packet behind, in the next packet. The expected share of
+    row i's packet that is read in row j >= i is
 
         C(j, i) (1 - eps)^(i + 1) eps^(j - i)
 
-    is read in row j >= i. The charge of a packet is computed in `trail` rows behind it. The last of
-    these rows receives all charge that lags farther, so charge is lost only beyond the last row of
-    the image. The lag is approximately a Poisson variable with mean eps i. If the mean lag is 0.3
-    rows, the share that lags more than 8 rows is 4e-11. If the mean lag is 3 rows, this share is
-    4e-3, and a longer trail is needed.
+    The charge of a packet is computed in `trail` rows behind it. The last of these rows receives
+    all charge that lags farther, so charge is lost only beyond the last row of the image. The lag
+    is approximately a Poisson variable with mean eps i. If the mean lag is 0.3 rows, the share that
+    lags more than 8 rows is 4e-11. If the mean lag is 3 rows, this share is 4e-3, and a longer
+    trail is needed.
 
     Args:
         electrons: (..., h, w, bands) electrons per packet.

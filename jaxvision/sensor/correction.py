@@ -419,8 +419,8 @@ def _warn(words: str) -> None:
 
 
 def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Masters) -> None:
-    """Warn of raw numbers that are not those of a single frame of the camera: they are no codes of
-    its converter, lie below black, or lack its noise or the pattern of the masters."""
+    """Warn if the raw numbers are not a single frame of the camera: if they are not codes of its
+    converter, are below black, or lack its noise or the pattern of the masters."""
     if not all(map(is_known, jax.tree.leaves((sensor, found, raw, masters)))):
         return
     unlit = jnp.zeros(raw.shape[-3:], raw.dtype)
@@ -484,8 +484,8 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
 def _patterns(
     found: Calibrated, masters: Masters, codes: np.ndarray, of_dark: np.ndarray
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield the name of each master, the frame that must contain its pattern, this pattern with the
-    variance of its error, and the weight of each pixel."""
+    """Yield for each master: its name, the frame that must contain its pattern, the pattern, the
+    variance of the pattern's error, and the weight of each pixel."""
     if masters.dark is not None:
         dark = _processed.middle(masters.dark.mean)
         yield "dark", codes, dark, of_dark / float(masters.dark.frames), np.ones_like(codes)

@@ -59,8 +59,8 @@ class Toward(eqx.Module):
     """A sampled direction toward an emitter, with its light. `distance` is () in m, inf for an
     emitter at infinity. `clear` is the part of the distance, () in m, that must be unoccluded; it
     ends slightly before an emissive surface, by the rounding error of the surface's position.
-    `irradiance` is the radiance divided by the density, (bands,) W m^-2. `density` is that of the
-    direction, () sr^-1, or inf for a light without size."""
+    `density` is the sampling density of the direction, () sr^-1, or inf for a light without size.
+    `irradiance` is the radiance divided by `density`, (bands,) W m^-2."""
 
     direction: Vec
     distance: Scalar
@@ -248,10 +248,10 @@ def shining_ahead(
     ray ends at a light.
 
     `surface` is the index of the surface that the ray hits (-1 for none), `distance` its distance
-    in m, and `cosine` that of the angle between its outward normal and the reversed ray. `density`
-    is that of the ray's direction in sr^-1, or inf for a ray from the camera. `absorption` is the
-    absorption of the surrounding body, (bands,) m^-1, or None. Emitters that next-event estimation
-    can sample are weighted according to `strategy`.
+    in m, and `cosine` the cosine of the angle between its outward normal and the reversed ray.
+    `density` is the sampling density of the ray's direction in sr^-1, or inf for a ray from the
+    camera. `absorption` is the absorption of the surrounding body, (bands,) m^-1, or None. Emitters
+    that next-event estimation can sample are weighted according to `strategy`.
     """
     looks = jnp.isinf(density)
     left = split_bands(transmitted(absorption, distance), bands)

@@ -84,9 +84,9 @@ class Met(eqx.Module):
 
 
 class Onward(eqx.Module):
-    """The continuation of a path. `direction` is a unit vector. `weight`, (bands,), is the
-    reflection factor divided by the density, no unit. `density` is that of the direction, () sr^-1,
-    or inf at a mirror or glass."""
+    """The continuation of a path. `direction` is a unit vector. `density` is the sampling density
+    of the direction, () sr^-1, or inf at a mirror or glass. `weight`, (bands,), is the reflection
+    factor divided by `density`, no unit."""
 
     direction: Vec
     weight: Bands

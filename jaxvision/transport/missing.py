@@ -294,9 +294,9 @@ def _lobe(material: Material) -> tuple[float, float]:
     """Return the widths of a material's narrowest lobe, rad, along both tangents; pi if the lobe is
     broad or its width is unknown.
 
-    The width of a microfacet lobe with roughness alpha is 2 alpha. The width of any other lobe is
-    that of the microfacet lobe with the same width at half maximum. In measured data, the lobe is
-    located numerically.
+    The width of a microfacet lobe with roughness alpha is 2 alpha. Any other lobe has the width of
+    the microfacet lobe with the same width at half maximum. In measured data, the lobe is located
+    numerically.
     """
     if any(True for _ in maps_of(material)):
         return min(_lobe(replace_maps(material, end)) for end in ENDS)

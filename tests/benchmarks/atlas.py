@@ -251,7 +251,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
     for page, names in pages.items():
         lines += [f"## {page}", ""]
         if page == "Pictures":
-            lines += [f"Pictures of {pictures.SIDE} x {pictures.SIDE} pixels.", ""]
+            lines += [f"All pictures have {pictures.SIDE} x {pictures.SIDE} pixels.", ""]
         lines += ["| problem | approximation | order | 10 % | 1 % | 0.1 % |"]
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for name in names:

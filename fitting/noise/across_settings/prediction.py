@@ -1,8 +1,8 @@
 """Prediction of held-out light levels by the joint fit to all settings of a camera.
 
-Each setting is fitted again without every second level, and the joint fit is repeated with these
-estimates. For each setting, the sensor of this joint fit is written to a file, read back, and used
-to predict the levels left out.
+Each setting is fitted again with every second level left out, and the joint fit is repeated with
+these estimates. For each setting, the sensor of this joint fit is written to a file, read back, and
+used to predict the levels left out.
 """
 
 from dataclasses import replace

@@ -271,8 +271,8 @@ def _expected(
 def _of_unequal_pixels(
     sensor: Sensor, found: Expected, levels: Frames
 ) -> Float[np.ndarray, "levels levels"]:
-    """Return the covariance between the levels' means, DN^2, by the sampling of the pixels: the
-    mean gain and the mean offset of a few pixels deviate from those of all pixels."""
+    """Return the covariance between the levels' means, DN^2, due to the sampling of the pixels: the
+    mean gain and the mean offset of a few pixels deviate from the population means."""
     rows, columns = levels.shape or 2 * (levels.pixels**0.5,)
     covariance = np.zeros(2 * found.signal.shape)
     for name, count, by in (

@@ -400,8 +400,8 @@ class _Fit:
         return {one.key: Size(float(size), float(error)) for one, size, error in both}
 
     def restated(self, found: list[Missing]) -> tuple[Missing, ...]:
-        """Return the effects with their sizes beside all others, without those that the others
-        made insignificant."""
+        """Return the effects with their sizes from the regression on all effects together. Effects
+        that are insignificant in this regression are omitted, unless none would remain."""
         sizes, named = self._taken_sizes() if self._taken else {}, []
         by_key = {one.key: one for one in self._taken}
         for one in found:

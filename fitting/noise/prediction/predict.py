@@ -221,9 +221,9 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 
 
 def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
-    """Return a sentence on darks whose dark signal differs from that of the camera by a large
-    factor, or which are clipped at the first code although those of the camera are not; empty if
-    there is no such contradiction."""
+    """Return a sentence if the dark signal differs from the camera's by a large factor, or if the
+    darks are clipped at the first code although the camera's black level is above it. The result is
+    empty if the darks do not contradict the camera."""
     dark, converter = measurement.dark, measurement.converter
     step, gain = converter.step or 1.0, 1.0 if camera.gain is None else float(camera.gain)
     black = converter.origin + step * (0.0 if camera.offset is None else float(camera.offset))
@@ -250,8 +250,9 @@ def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
 def _pattern_in_words(
     camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """Return sentences on a fixed pattern that is much smaller or larger than that of the camera.
-    A larger one is that of neighbouring pixels, to which smoothly uneven light does not add."""
+    """Return sentences on a fixed pattern that is much smaller or much larger than the camera's.
+    Whether it is larger is decided by differences of neighbouring pixels, because smoothly uneven
+    light does not increase these."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or bright.local_pattern is None:
         return []

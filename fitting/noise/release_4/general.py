@@ -9,9 +9,9 @@ With mu_y - mu_y.dark the response, R its slope at the light mu_p, and sigma_y t
     threshold     the light of SNR_p = 1;   dynamic range   saturation / threshold
 
 A nonlinear response (gamma, several slopes, companding) affects SNR_y but not SNR_p. The slope R at
-a level is that of a parabola fitted to the five levels nearest in light, including zero light.
-Below the faintest level with SNR_y >= 1, response and variance are interpolated linearly between
-the dark and that level.
+a level is the slope of a parabola fitted to the five levels nearest in light; zero light counts as
+a level. Below the faintest level with SNR_y >= 1, response and variance are interpolated linearly
+between the dark and that level.
 
 Intervals come from random draws of means and variances with their sampling errors.
 """

@@ -283,7 +283,7 @@ def _reciprocity_remark(
 ) -> tuple[str, ...]:
     """Return a remark if the values seem to be f_r times a cosine. By Helmholtz reciprocity, f_r is
     equal for two samples whose light and viewer are exchanged. The remark is made if the ratio of
-    such samples is instead that of the cosines of their viewers or of their lights.
+    such samples is not 1, but equals the ratio of the cosines of their viewers or of their lights.
     """
     bright = values.mean(axis=1)
     light, viewer = np.meshgrid(theta_i, theta_o, indexing="ij")

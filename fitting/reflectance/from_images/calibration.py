@@ -230,9 +230,9 @@ def encoded_fit(
     view: View, form: Form, linear: Iterable[ChannelFit], cells: Grouping
 ) -> tuple[Photographs, ChannelFit] | None:
     """Return the photographs and the fit of encoded files if images without a stated gamma are
-    encoded: the model errs less than half as much as every model of linear files if they are
-    decoded as sRGB, or with a fitted exponent far from 1. A rough surface, whose shading is flat
-    too, has models of its own among the latter.
+    encoded. They are encoded if decoding them, as sRGB or with a fitted exponent far from 1, more
+    than halves the error of every model of linear files. The models of linear files include rough
+    surfaces, because these have flat shading too.
     """
     observation = view.observation
     if observation.camera.gamma is not None:
@@ -295,8 +295,8 @@ def _error_in_srgb(fit: ChannelFit) -> float:
 
 
 def _reasons_of_curved(fits: Sequence[ChannelFit]) -> dict[str, dict[str, str]]:
-    """Return the reasons why channels of encoded images have no numbers, if their curve leaves
-    correlated residuals: its error is in no interval."""
+    """Return the reasons why channels of encoded images have no numbers. A channel has none if its
+    residuals are correlated, because the error of its curve is then in no interval."""
     names = [parameter.name for parameter in parameter_space(fits[0].requested)]
     curved = [fit.channel for fit in fits if fit.design_effect > CORRELATED]
     return {channel: dict.fromkeys(names, NO_GAMMA) for channel in curved}

@@ -278,8 +278,8 @@ def _angles(
 
 
 def _ball_outline_findings(observation: Photographs) -> list[str]:
-    """Report pixels that stay dark under lights that they face, as beside a ball whose outline is
-    wrong.
+    """Report pixels that stay dark under lights that they face, because the stated outline of the
+    ball is too large or the object is black there.
     """
     signal = np.mean(observation.dn - observation.black, axis=0)
     facing = observation.cosine.max(axis=0) > SIDE

@@ -413,8 +413,8 @@ def surface_of(
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
     """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys.
-    Texture coordinates of a mesh are read if its material is `mapped` or if it has a map of
-    normals. Raise `InputError` if the table is invalid."""
+    Texture coordinates of a mesh are read if its material is `mapped` or if the surface has a
+    normal map. Raise `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(surface_keys)
     values = _values(reading, where, beside | keys_of(make), rest)
