@@ -47,8 +47,8 @@ def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
     return np.asarray(plain_numbers(name, image))
 
 
-def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
-    """Return the numbers of a list, such as exposures, in order.
+def number_list(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
+    """Convert a list of numbers, such as exposures, to floats.
 
     Args:
         name: of the argument.
@@ -62,8 +62,8 @@ def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
             or coordinates, whose order or scale may differ.
 
     Example:
-        >>> from fitting.observation import each
-        >>> print(each("exposures", np.array([0.5, 1.0])))
+        >>> from fitting.observation import number_list
+        >>> print(number_list("exposures", np.array([0.5, 1.0])))
         [0.5, 1.0]
     """
     plain = plain_array(name, values)
@@ -243,8 +243,8 @@ def pixels_of_colour(camera: Camera, shape: tuple[int, int], colour: str) -> np.
     return found
 
 
-def one_site(camera: Camera) -> SiteCamera:
-    """Return a camera with one value for all sites, for images of `to_one_site`."""
+def equalised_camera(camera: Camera) -> SiteCamera:
+    """Return a camera with one value for all sites, for images from `equalise_sites`."""
     if isinstance(camera.gain, tuple) and camera.encoding is not None:
         raise InputError(
             "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
@@ -272,8 +272,8 @@ def one_site(camera: Camera) -> SiteCamera:
     return SiteCamera(**known)
 
 
-def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return an image with the mean black level and gain of the sites at all of them."""
+def equalise_sites(image: np.ndarray, camera: Camera) -> np.ndarray:
+    """Convert an image to the mean black level and the mean gain of the sites."""
     if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
     black, gain = np.zeros(image.shape), np.ones(image.shape)

@@ -3,7 +3,7 @@ compiled programs between runs, and with quick compilation if most programs run 
 read the settings of the cache and of quick compilation from the environment before their first use.
 
 JAX's cache stores what XLA compiles, but every process traces and lowers each program again.
-`kept_whole` stores the compiled program under a name that is known before tracing.
+`store_whole` stores the compiled program under a name that is known before tracing.
 """
 
 import dataclasses
@@ -46,7 +46,7 @@ _WRITABLE_BY_OTHERS = 0o022
 _keeps_whole = False  # unless a command asks: a library's user may change what programs depend on
 
 
-def on_processor() -> bool:
+def targets_cpu() -> bool:
     """Return whether programs are now traced for a CPU. The answer follows from
     `jax.default_device` if it is set, and otherwise from the devices that JAX found."""
     import jax  # here: what else this module does comes before JAX's first use
@@ -69,7 +69,7 @@ def _is_tried() -> bool:
     return version("jaxlib").startswith(_TRIED) and find_spec("jax_plugins") is None
 
 
-def for_rays(*, paths: bool) -> Options | None:
+def ray_options(*, paths: bool) -> Options | None:
     """Return `compiler_options` of `jax.jit` for a program that computes many rays, or many paths.
     Return None if the user has set XLA_FLAGS (even if empty), and for an untested version of
     jaxlib.
@@ -91,14 +91,14 @@ def compile_quickly() -> None:
         os.environ.setdefault("XLA_FLAGS", quick_flags())
 
 
-def briefly() -> Options | None:
+def short_run_options() -> Options | None:
     """Return `compiler_options` of `jax.jit` for a program that runs for less time than XLA takes
     to optimise it: `quick_options`, or None if the user has set XLA_FLAGS (even if empty).
     """
     return None if "XLA_FLAGS" in os.environ else quick_options() or None
 
 
-def moderately() -> Options | None:
+def medium_run_options() -> Options | None:
     """Return `compiler_options` of `jax.jit` for a program that runs about as long as XLA takes to
     optimise it: `quick_options` with optimisation level 1, or None if the user has set XLA_FLAGS.
     """
@@ -115,7 +115,7 @@ def keep_programs() -> None:
     _keeps_whole = True
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
-    folder = kept_in()
+    folder = program_folder()
     if not folder:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
@@ -125,7 +125,7 @@ def keep_programs() -> None:
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
 
 
-def kept_in() -> str:
+def program_folder() -> str:
     """Return the folder in which the commands store compiled programs, or an empty string if there
     is none.
     """
@@ -177,7 +177,7 @@ def source_digest() -> str:
     return found.hexdigest()[:8]
 
 
-def kept_whole(function: Any, about: str) -> Callable[..., Any]:
+def store_whole(function: Any, about: str) -> Callable[..., Any]:
     """Wrap a `jax.jit` of arrays and this distribution's records so that the next run reads the
     compiled program without tracing. `about` describes everything else on which the program
     depends.
@@ -187,7 +187,7 @@ def kept_whole(function: Any, about: str) -> Callable[..., Any]:
     programs: dict[str, Callable[..., Any]] = {}
 
     def call(*args: Any) -> Any:
-        folder = Path(kept_in()) if _keeps_whole and kept_in() else None
+        folder = Path(program_folder()) if _keeps_whole and program_folder() else None
         if folder is None or not folder.is_dir():
             return function(*args)
         try:
@@ -212,7 +212,7 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
     the program depends on a value of an unknown type."""
     import jax
 
-    if not on_processor() or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:
+    if not targets_cpu() or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:
         raise TypeError("only programs for one processor are kept whole.")
     flags = {n: x for n, x in os.environ.items() if n.startswith(("XLA", "JAXVISION"))}
     settings = {n: x for n, x in jax.config.values.items() if "cache" not in n}

@@ -26,7 +26,7 @@ from .effects.pruning import WORTH, looking_pays
 from .errors import shorten
 from .lights import Quadrature, Rule
 from .optics import sensor_irradiance
-from .programs import on_processor
+from .programs import targets_cpu
 from .rendering import Edges, PixelSamples, Traced, render
 from .rendering.band_count import band_count
 from .rendering.shading import DEFAULT_RULE
@@ -205,7 +205,7 @@ def _prune_losslessly(
     Return None if the search would take more than a twentieth of the picture's time, or if it saves
     little.
     """
-    if not isinstance(rule, Quadrature) or scene.rules is not None or not on_processor():
+    if not isinstance(rule, Quadrature) or scene.rules is not None or not targets_cpu():
         return None
     if not all(map(is_known, jax.tree.leaves((scene, camera)))):
         return None

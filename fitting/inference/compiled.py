@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
-from jaxvision.programs import briefly
+from jaxvision.programs import short_run_options
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -23,7 +23,7 @@ def compiled_briefly(function: Callable[P, R], *, always: bool = True) -> Callab
     If the function is called inside another compiled function or a derivative, it becomes part of
     that program. If `always` is false, XLA optimises the program for large arguments."""
     part = eqx.filter_jit(function)
-    whole = cast(Any, eqx.filter_jit)(function, compiler_options=briefly())
+    whole = cast(Any, eqx.filter_jit)(function, compiler_options=short_run_options())
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

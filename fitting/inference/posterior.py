@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtr, stdtrit
 
 from jaxvision.errors import InputError
-from jaxvision.programs import on_processor
+from jaxvision.programs import targets_cpu
 
 from .blocks import Block, fingerprint
 from .diagnostics import identifiability
@@ -348,7 +348,7 @@ def evaluate_density(
 
 def walkers_at_a_time() -> int:
     """Return how many walkers are evaluated at a time on this device."""
-    return BATCH if on_processor() else BATCH * _KERNEL_FACTOR
+    return BATCH if targets_cpu() else BATCH * _KERNEL_FACTOR
 
 
 @eqx.filter_jit

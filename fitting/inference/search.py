@@ -49,7 +49,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtri
 
 from jaxvision.errors import InputError
-from jaxvision.programs import on_processor
+from jaxvision.programs import targets_cpu
 
 from .candidates import numbers_of
 from .compiled import compiled_briefly
@@ -451,7 +451,7 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
 
 def searches_at_once(vectors: Any) -> int:
     """Return how many searches of a user's solver run at once: on a CPU two fit the cache."""
-    return min(_CORE_STARTS if on_processor() else len(vectors), len(vectors))
+    return min(_CORE_STARTS if targets_cpu() else len(vectors), len(vectors))
 
 
 def _levenberg_marquardt(
@@ -607,7 +607,7 @@ def _derivatives_at(
         vector, asked = pair
         return jax.lax.cond(asked, lambda v: local(v, problem), lambda _: nothing, vector)
 
-    together = None if on_processor() else len(vectors)
+    together = None if targets_cpu() else len(vectors)
     return jax.lax.map(one, (vectors, wanted), batch_size=together)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
-from jaxvision.programs import briefly
+from jaxvision.programs import short_run_options
 
 from .on_host import on_host
 from .parameters import ends, prior_values, to_natural, to_unconstrained
@@ -221,7 +221,9 @@ def _projected(
     return amplitudes, np.sum(weighted * values) + reduction.sum(axis=-1)
 
 
-_non_negative = jax.jit(jax.vmap(jax.vmap(non_negative_amplitudes)), compiler_options=briefly())
+_non_negative = jax.jit(
+    jax.vmap(jax.vmap(non_negative_amplitudes)), compiler_options=short_run_options()
+)
 
 
 def closed_form_indices(problem: Problem) -> tuple[int, ...]:

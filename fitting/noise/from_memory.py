@@ -7,7 +7,7 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import double_precision
-from ..observation import MEMORY, Load, each, require_as_many, require_frames, rig_in_memory
+from ..observation import MEMORY, Load, number_list, require_as_many, require_frames, rig_in_memory
 from ..rig import Camera, Rig
 from .levels import Levels, PhotonTransfer
 from .read import reduce_darks, reduce_rig
@@ -106,17 +106,17 @@ def _rig_of(
     in the rig."""
     require_frames("flats", flats)
     require_frames("darks", darks)
-    exposures = each("exposures", exposures)
+    exposures = number_list("exposures", exposures)
     require_as_many("exposures", exposures, "levels of flats", flats)
     if photons is not None:
-        photons = each("photons", photons)
+        photons = number_list("photons", photons)
         require_as_many("photon counts", photons, "levels of flats", flats)
     if dark_exposures is None and len(darks) != len(flats):
         raise InputError(
             f"len(darks) is {len(darks)} and len(flats) {len(flats)}, so darks need exposures of "
             "their own; give dark_exposures."
         )
-    times = exposures if dark_exposures is None else each("dark_exposures", dark_exposures)
+    times = exposures if dark_exposures is None else number_list("dark_exposures", dark_exposures)
     require_as_many("dark_exposures", times, "sets of darks", darks)
     flat, images = _entries("flats", flats, exposures)
     if photons is not None:
@@ -174,7 +174,7 @@ def darks_from_frames(
         [64. 64.] [5. 5.]
     """
     require_frames("darks", darks)
-    exposures = each("exposures", exposures)
+    exposures = number_list("exposures", exposures)
     require_as_many("exposures", exposures, "sets of darks", darks)
     dark, images = _entries("darks", darks, exposures)
     rig, load = rig_in_memory(

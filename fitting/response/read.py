@@ -27,7 +27,7 @@ from ..inference.formatting import format_percent
 from ..observation import (
     Load,
     cropped_to_region,
-    each,
+    number_list,
     read_frame,
     read_stack,
     require_as_many,
@@ -206,7 +206,7 @@ def from_stack(
         [('grey', (3, 20, 20))]
     """
     require_several_images("images", images)
-    exposures = each("exposures", exposures)
+    exposures = number_list("exposures", exposures)
     require_as_many("exposures", exposures, "images", images)
     entries = [
         {"file": f"images[{i}]", "exposure": exposure, "exposure_sd": exposure_sd}

@@ -21,7 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 from .. import __version__
 from ..core.interrupts import INTERRUPTED, mark_reported, say_if_interrupted
 from ..errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
-from ..programs import kept_in
+from ..programs import program_folder
 
 UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
 # base class of all usage errors, which is not exported
@@ -197,7 +197,7 @@ def surroundings() -> list[str]:
             continue
     unique = [*dict.fromkeys(lines)]
     devices = ", ".join(str(device) for device in jax.devices())
-    return [*unique, f"Compiled programs: {kept_in() or 'not kept'}", f"Devices: {devices}"]
+    return [*unique, f"Compiled programs: {program_folder() or 'not kept'}", f"Devices: {devices}"]
 
 
 def say_what_is_done() -> None:

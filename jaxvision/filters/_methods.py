@@ -16,7 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..core._loops.fusion import PLAIN, materialise
-from ..programs import on_processor
+from ..programs import targets_cpu
 from .padding import ghosts, pad_axis
 
 Stack = Float[Array, "n h w c"]
@@ -279,7 +279,7 @@ def _sum(k: Planes) -> Planes:
 
 def _widest() -> np.dtype:
     """Return the widest floating type that transforms support on this machine."""
-    double = on_processor() or jax.default_backend() == "gpu"
+    double = targets_cpu() or jax.default_backend() == "gpu"
     return np.dtype(np.float64 if double else np.float32)
 
 

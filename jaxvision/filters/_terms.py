@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Shaped
 from ..core._arguments import warn_of_idle_fill
 from ..core._numerics import binary_unit, divide, smallest_divisor
 from ..core._types import print_by_name
-from ..programs import on_processor
+from ..programs import targets_cpu
 from ._bilinear import correlate_stack
 from ._methods import Anchor, Kernel, Stack
 from .padding import Filtered, Picture, as_planes, ghosts
@@ -63,7 +63,7 @@ def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) ->
     passes = tuple(_passes(term, image.dtype) for term in terms)
     kernels = tuple(reduce(mul, kernels) for kernels in passes)
     if method == "separable":
-        method = "direct" if on_processor() else "conv"
+        method = "direct" if targets_cpu() else "conv"
     else:
         passes = tuple((kernel,) for kernel in kernels)
     outer = Settings(

@@ -50,7 +50,7 @@ from jax.core import Tracer
 
 from ..core._arguments import takes_numbers
 from ..core._types import check_choice
-from ..programs import on_processor
+from ..programs import targets_cpu
 from ._methods import METHODS, Anchor
 from ._terms import AnyKernel, AnyTaps, Fill, Separable, Settings, Terms, filtered
 from .padding import Filtered, Picture, check_border, check_picture
@@ -260,7 +260,7 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
         return method
     if method not in ("auto", "separable"):
         return method
-    if not on_processor():
+    if not targets_cpu():
         return "conv" if kh * kw <= _LONGEST_SUM else "fft"
     whole = min(kh * kw, _TRANSFORM)
     if not traced and finite and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:

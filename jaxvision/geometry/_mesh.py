@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Int
 
 from ..core._types import Scalar
 from ..errors import install
-from ..programs import on_processor
+from ..programs import targets_cpu
 from ..scene import TriangleMesh
 from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
@@ -51,7 +51,7 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
 
 
 def _search(mesh: TriangleMesh) -> bool:
-    tried = _TRIED if on_processor() else _TRIED_ELSEWHERE
+    tried = _TRIED if targets_cpu() else _TRIED_ELSEWHERE
     if len(mesh.faces) <= tried:
         return False
     if not _embree.available():

@@ -23,7 +23,7 @@ from ..errors import InputError
 from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..lights import Balanced, MonteCarlo, Quadrature, Rule
-from ..programs import for_rays, kept_whole
+from ..programs import ray_options, store_whole
 from ..rendering import Along, PixelSamples, direct_along, photograph
 from ..rendering.maps import varied_surfaces
 from ..rendering.scene_checks import idle_lamps
@@ -185,7 +185,7 @@ def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tupl
     """Return the compiled program for tiles, cached for one combination of settings and structure.
     A scene with the same structure uses the cached program without another compilation. The cache
     does not hold the scene. For a scene with another structure, the cached program is replaced."""
-    return kept_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
+    return store_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
 
 
 @lru_cache(maxsize=1)
@@ -193,20 +193,20 @@ def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Imag
     """Return the compiled program for one pass of light tracing, cached for one combination of
     settings and structure."""
 
-    @partial(jax.jit, compiler_options=for_rays(paths=False))
+    @partial(jax.jit, compiler_options=ray_options(paths=False))
     def one(key: Key, scene: Scene, view: View) -> Image:
         traced = light_traced(
             key, scene, view, paths=math.prod(view.resolution), depth=settings.depth, samples=1
         )
         return traced.radiance
 
-    return kept_whole(one, f"pass {settings!r}")
+    return store_whole(one, f"pass {settings!r}")
 
 
 def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:
     """Return the compiled program from pixels to their radiance and standard error."""
 
-    @partial(jax.jit, compiler_options=for_rays(paths=settings.integrator == "path"))
+    @partial(jax.jit, compiler_options=ray_options(paths=settings.integrator == "path"))
     def tile(
         scene: Scene,
         view: View,

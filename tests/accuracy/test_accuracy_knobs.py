@@ -33,7 +33,7 @@ OTHER = words("""
 *.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
 *.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 *.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar
-*.for_rays.paths *.matte_errors.* *.MatteErrors.* *.maps.Patch.steps
+*.ray_options.paths *.matte_errors.* *.MatteErrors.* *.maps.Patch.steps
 *.zernike.count *.wavefront_kernel.samples *.Wavefront.samples *.Edges.nodes
 """)
 

@@ -31,7 +31,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     monkeypatch.setenv("XLA_FLAGS", "")
     programs.compile_quickly()
     assert os.environ["XLA_FLAGS"] == ""
-    assert programs.briefly() is programs.moderately() is None
+    assert programs.short_run_options() is programs.medium_run_options() is None
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setattr(programs, "version", lambda name: "0.99.0")
     programs.compile_quickly()
@@ -41,12 +41,12 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "find_spec", lambda name: None)
-    assert programs.briefly()["xla_backend_optimization_level"] == 0
-    moderate = programs.briefly() | {"xla_backend_optimization_level": 1}
-    assert programs.moderately() == moderate
+    assert programs.short_run_options()["xla_backend_optimization_level"] == 0
+    moderate = programs.short_run_options() | {"xla_backend_optimization_level": 1}
+    assert programs.medium_run_options() == moderate
     programs.compile_quickly()
-    assert programs.moderately() == moderate  # whatever the flags say of all programs
-    assert programs.briefly() is None  # the flags say so of all programs
+    assert programs.medium_run_options() == moderate  # whatever the flags say of all programs
+    assert programs.short_run_options() is None  # the flags say so of all programs
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
     assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]
     monkeypatch.delenv("XLA_FLAGS")
@@ -57,7 +57,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
 
 def test_a_program_compiled_briefly_may_be_part_of_another(monkeypatch):
     monkeypatch.setattr(programs, "find_spec", lambda name: None)  # no accelerator
-    monkeypatch.setattr(compiled, "briefly", programs.quick_options)
+    monkeypatch.setattr(compiled, "short_run_options", programs.quick_options)
     assert programs.quick_options()
     cubed = compiled.compiled_briefly(lambda x, power: x**power)
     x = jnp.array([1.0, 2.0])
@@ -116,7 +116,7 @@ def kept(untouched, monkeypatch):
             traces.append(x)
             return 2 * jax.tree.leaves(x)[0] + 1, jnp.zeros(3)
 
-        value, _ = programs.kept_whole(jax.jit(function), about)(x)
+        value, _ = programs.store_whole(jax.jit(function), about)(x)
         assert bool(traces) == traced
         return value
 
@@ -200,9 +200,9 @@ def test_half_written_programs_are_compiled_anew(untouched):
 
 def test_the_default_device_says_for_what_a_program_is_made(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert not programs.on_processor()
+    assert not programs.targets_cpu()
     for named in ("cpu", jax.devices("cpu")[0]):
         with jax.default_device(named):
-            assert programs.on_processor()
+            assert programs.targets_cpu()
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    assert programs.on_processor()
+    assert programs.targets_cpu()

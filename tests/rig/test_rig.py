@@ -7,12 +7,12 @@ import pytest
 
 import jaxvision as jv
 from fitting.observation import (
-    one_site,
+    equalise_sites,
+    equalised_camera,
     read_frame,
     read_mask,
     read_stack,
     split_channels,
-    to_one_site,
 )
 from fitting.rig import Camera, as_rig, load_rig, require
 from jaxvision.errors import InputError
@@ -335,7 +335,7 @@ def test_colour_images_of_two_taps_have_six_planes():
     planes = split_channels(image, camera)
     assert list(planes)[2:4] == ["blue tap 0,0", "red tap 0,1"]
     np.testing.assert_array_equal(planes["red tap 0,1"], image[:, 1::2, 0])
-    np.testing.assert_array_equal(to_one_site(image, camera)[0, 0], [2.5, 2.5, 2.5])
+    np.testing.assert_array_equal(equalise_sites(image, camera)[0, 0], [2.5, 2.5, 2.5])
 
 
 def test_one_intensity_needs_no_list(tmp_path):
@@ -346,25 +346,25 @@ def test_one_intensity_needs_no_list(tmp_path):
 def test_pixels_of_several_blacks_are_fitted_with_their_mean():
     """The least room to saturation counts for all."""
     camera = Camera(bits=12, black_level=[60, 70, 80], saturation=[4000, 4050, 4095], gain=0.5)
-    alike = one_site(camera)
+    alike = equalised_camera(camera)
     assert (alike.black_level, alike.saturation, alike.gain) == (70, 4000 - 60 + 70, 0.5)
     with pytest.raises(InputError, match=r"camera\.gain lists several numbers by colour"):
-        one_site(Camera(bits=12, gain=[0.5, 0.6, 0.5]))
+        equalised_camera(Camera(bits=12, gain=[0.5, 0.6, 0.5]))
 
 
 def test_pixels_of_several_gains_are_levelled_to_their_mean():
     camera = Camera(bits=12, taps=(1, 2), black_level=[60, 70], gain=[0.5, 0.6], read_noise=[3, 4])
     electrons = np.array([[1000.0, 1000, 2000, 2000]])
     image = np.array([60.0, 70, 60, 70]) + np.array([0.5, 0.6, 0.5, 0.6]) * electrons
-    np.testing.assert_allclose(to_one_site(image, camera), 65 + 0.55 * electrons)
-    alike = one_site(camera)
+    np.testing.assert_allclose(equalise_sites(image, camera), 65 + 0.55 * electrons)
+    alike = equalised_camera(camera)
     np.testing.assert_allclose(
         [alike.gain, alike.read_noise, alike.black_level], [0.55, np.sqrt(12.5), 65]
     )
     # The second amplifier clips at 4095 - 70 DN of its own gain.
     np.testing.assert_allclose(alike.saturation, 65 + 4025 * 0.55 / 0.6)
     with pytest.raises(InputError, match=r"camera\.gain lists several numbers, but the files"):
-        one_site(Camera(bits=12, taps=(1, 2), gain=[0.5, 0.6], gamma=2.2))
+        equalised_camera(Camera(bits=12, taps=(1, 2), gain=[0.5, 0.6], gamma=2.2))
 
 
 @pytest.mark.parametrize(

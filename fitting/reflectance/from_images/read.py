@@ -38,7 +38,8 @@ from ...noise.settings import require_one_setting
 from ...observation import (
     Load,
     cropped_to_region,
-    one_site,
+    equalise_sites,
+    equalised_camera,
     pixels_of_colour,
     read_mask,
     read_stack,
@@ -46,7 +47,6 @@ from ...observation import (
     require_frames,
     require_several_images,
     rig_in_memory,
-    to_one_site,
 )
 from ...rig import (
     COLOURS,
@@ -253,7 +253,7 @@ def read_reflectance_observation(
     rows, columns, normals, within = _surface(rig, rig.geometry, shape, mask, load, channel)
     wi, falloff, reach = _light_field(rig, normals)
     cosine, mirror_angle = angles(normals, wi)
-    camera = one_site(rig.camera)
+    camera = equalised_camera(rig.camera)
     black = camera.black_level or 0.0
     dn = frames[:, :, rows, columns]
     pile = _pile_at_top(dn) if camera.saturation is None else None
@@ -405,7 +405,7 @@ def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w
     named = None if rig.geometry is None else rig.geometry.mask
     mask = None if named is None else read_mask(rig.path(named), rig.camera, load=load)
     stored = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
-    stack = np.stack([to_one_site(image, rig.camera) for image in stored])
+    stack = np.stack([equalise_sites(image, rig.camera) for image in stored])
     return stack[None] if stack.ndim == 3 else np.moveaxis(stack, 3, 0)
 
 
@@ -693,7 +693,7 @@ def read_joint_measurement(
 def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
     """Return a rig without the flats and darks that deviate from the others, with the reasons."""
     sentences: list[str] = []
-    camera, black = one_site(rig.camera), np.zeros(0)
+    camera, black = equalised_camera(rig.camera), np.zeros(0)
     kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
     for kind in kept:
         entries: Sequence[Flat | Dark] = getattr(rig, kind)
@@ -747,7 +747,7 @@ def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load)
     """Return, for each channel, the mean of a level, its temporal variance, the variance's degrees
     of freedom, and the error of the mean, (channels, 4).
     """
-    stack = np.stack([to_one_site(f, rig.camera) for f in read_stack(rig, files, load=load)])
+    stack = np.stack([equalise_sites(f, rig.camera) for f in read_stack(rig, files, load=load)])
     if rig.camera.pattern is not None:
         own = pixels_of_colour(rig.camera, stack.shape[1:3], names[0])
         stack = stack[:, own][:, :, None]
@@ -758,7 +758,7 @@ def _level(rig: Rig, files: tuple[str, ...], names: tuple[str, ...], load: Load)
             f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
             f"{channels}; give flats and darks of the same kind."
         )
-    if (stack >= one_site(rig.camera).clip_level).any():
+    if (stack >= equalised_camera(rig.camera).clip_level).any():
         raise InputError(
             f"{rig.path(files[0])}: has saturated pixels; leave this level out of the rig."
         )

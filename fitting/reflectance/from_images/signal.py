@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 from jaxvision import Vec, as_array, as_vec
 from jaxvision.geometry.hemisphere import local_frame, to_local
 from jaxvision.point_ops import gamma_encode
-from jaxvision.programs import moderately
+from jaxvision.programs import medium_run_options
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.parameters import Parameter, ParameterSpace
@@ -183,7 +183,7 @@ def _lobe_of_block(
     return value, slope, bend
 
 
-_block = jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=moderately())
+_block = jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=medium_run_options())
 
 
 def signal(values: Values, form: Form, geometry: Geometry) -> Array:

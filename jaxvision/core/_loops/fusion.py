@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...programs import on_processor
+from ...programs import targets_cpu
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -57,12 +57,12 @@ LANES = 64
 
 def _helps() -> bool:
     """Return whether `primitives` makes programs on the current device faster."""
-    return not PLAIN and on_processor()
+    return not PLAIN and targets_cpu()
 
 
 def entries_per_step(of_core: int) -> int:
     """Return the rays or entries of one step of a loop: `of_core`, or 2^20 on an accelerator."""
-    return of_core if on_processor() else max(of_core, _KERNEL_FACTOR)
+    return of_core if targets_cpu() else max(of_core, _KERNEL_FACTOR)
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
@@ -97,7 +97,7 @@ def fuse(values: Any) -> Any:
     """Compute several arrays of one shape, and their derivatives, in one loop, and materialise
     them. On the CPU, XLA computes each array in a separate loop, except in a reduction of several
     arrays. The arrays are therefore computed in a reduction over an axis of two equal entries."""
-    if _fuse is None or not on_processor():
+    if _fuse is None or not targets_cpu():
         return values
     leaves, tree = jax.tree.flatten(values)
     return jax.tree.unflatten(tree, _fuse(*leaves))
