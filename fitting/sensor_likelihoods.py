@@ -382,9 +382,9 @@ class SensorCounts(eqx.Module):
 
             n ln(mu) - ln(n!) - (s(n) - s_c)^2 / (2 sigma^2)
 
-        with respect to n changes sign, with s_c the signal of the code. For the smallest code it is
-        at least the count nearest to the code, and for the largest code at most that. The terms on
-        either side decrease at least as fast as the distribution of read noise.
+        with respect to n changes sign, with s_c the signal of the code. For the smallest code, the
+        result is at least the count nearest to the code, and for the largest code at most that
+        count. The terms on either side decrease at least as fast as the distribution of read noise.
         """
         code, variance = self._nearest_count(read, data), jnp.square(read.noise)
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))

@@ -212,8 +212,8 @@ def spectrum_to_camera(
 def spectrum_to_xyz(
     spectrum: Spectrum, wavelengths: Wavelengths, observer: Responses
 ) -> Float[Array, "... 3"]:
-    """Absolute tristimulus values: Return X, Y, Z: the constant K_m times the integral of spectrum
-    times colour matching functions.
+    """Compute the absolute tristimulus values X, Y, Z: the constant K_m times the integral of the
+    spectrum times the colour matching functions.
 
     Args:
         spectrum: (..., bands) W m^-2 sr^-1 per m, for Y in cd m^-2; or W m^-2 per m, for lux.

@@ -1,4 +1,4 @@
-"""Overfull wells of a CCD
+"""Blooming of a CCD
 
 A lamp that generates 25 times the charge of a full well, next to lit windows. Charge spills along
 the columns (blooming), is collected during the transfer (smear), or is left behind by the transfer.

@@ -1,4 +1,4 @@
-"""What JPEG loses
+"""Losses of JPEG compression
 
 The library's JPEG gives the same pixel values as libjpeg, and can be differentiated. The pictures
 show quality 10, and the difference from the original multiplied by four.

@@ -1,4 +1,4 @@
-"""Lamps as sold
+"""Lamps from photometric files
 
 A wall lit by a spot light, by a point light with a measured angular distribution, and by the same
 distribution from a long luminous opening, as its photometric file describes it. Photometric files

@@ -1,4 +1,4 @@
-"""Results, drawn
+"""Plots of results
 
 Six of the plots of `jaxvision.plots`: a picture, a false-colour map with its unit, a histogram,
 spectra, lobes, and a curve with its uncertainty band and the true curve.

@@ -1,4 +1,4 @@
-"""Smoothing that keeps edges, and one that does not
+"""Smoothing with and without preserved edges
 
 A picture with Gaussian noise and a few dead pixels. The Gaussian filter blurs noise, dead pixels
 and edges alike, the median removes the dead pixels, and the bilateral filter keeps the edges but

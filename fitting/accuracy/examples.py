@@ -1,4 +1,4 @@
-"""State the problems on which the settings that no rig uses are measured."""
+"""Example problems, for the settings that the fits of a rig do not use."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

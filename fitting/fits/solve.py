@@ -505,7 +505,8 @@ def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
 
 
 def _gradients_about(problem: Problem) -> int:
-    """Gradients of one datum in the second derivatives at the mode and two points a parameter."""
+    """Return the cost of the second derivatives at the mode and at two points for each parameter,
+    in gradients of one datum."""
     parameters = len(problem.space)
     return (2 * parameters + 1) * parameters * problem.data.size
 

@@ -31,7 +31,7 @@ AT_END = 1.25
 
 
 def no_maximum(problem: Problem, optimum: Optimum) -> list[str]:
-    """Return the reason why the end of a search is no maximum, if it is none."""
+    """Return the reason why a search did not end at a maximum; an empty list if it did."""
     if optimum.saddle:
         return [
             "The search ended at a saddle, from which the density rises to both sides: "
@@ -49,8 +49,8 @@ def no_maximum(problem: Problem, optimum: Optimum) -> list[str]:
 
 
 def _bounds_to_give(problem: Problem, optimum: Optimum) -> str:
-    """Return advice for parameters without a prior and open to a side, along which the density is
-    flat or rises."""
+    """Return advice to bound the parameters along which the density is flat or rises, if they have
+    no prior and lack a lower or an upper bound."""
     scale = np.sqrt(np.abs(np.diagonal(optimum.information)))
     scale = np.where(scale > 0, scale, 1)
     _, axes = np.linalg.eigh(np.nan_to_num(optimum.information / np.outer(scale, scale)))

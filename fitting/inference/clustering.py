@@ -128,8 +128,8 @@ def cluster_robust(
             independent.
         levels: (samples,) cluster of each sample, by level; None leaves a level out.
         slopes: (parameters, samples), gradient of each sample's prediction over its standard
-            deviation; their outer products sum to the information. None takes the scores, which do
-            so on average.
+            deviation; their outer products sum to the information. None takes the scores, whose
+            outer products sum to the information on average.
         prior: (parameters, parameters), the part of the information that comes from priors.
 
     Returns:

@@ -310,7 +310,8 @@ def _posterior(
 
 
 def _missing(draws: int, effective: float, r_hat: float) -> int:
-    """Estimate the draws, in hundreds, that each chain lacks; twice as many if they disagree."""
+    """Estimate how many more draws each chain needs, rounded up to hundreds. If the chains
+    disagree, at least twice as many draws are needed."""
     if effective >= FEWEST_EFFECTIVE and r_hat <= LARGEST_R_HAT:
         return 0
     needed = draws * max(FEWEST_EFFECTIVE / effective, 2.0 if r_hat > LARGEST_R_HAT else 1.0)

@@ -384,7 +384,8 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 
 
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and deviation of each value under prior or bounds; infinite without."""
+    """Return the mean and the standard deviation of each number on the unconstrained scale, from
+    its prior or its bounds. The standard deviation of a number with neither is infinite."""
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)

@@ -313,7 +313,8 @@ def search(
 def present_numbers(
     problem: Problem, without: Sequence[str]
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return the indices of present numbers, and a function that adds the absent ones."""
+    """Return the indices of the numbers that are left if the candidates in `without` are absent,
+    and a function that inserts the absent numbers into vectors."""
     gone = [one for one in problem.candidates if one.name in without]
     absent = np.full(len(problem.space), np.nan)
     for candidate in gone:

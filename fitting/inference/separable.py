@@ -73,7 +73,8 @@ def non_negative_amplitudes(
 
 
 def _supports(signed: tuple[bool, ...]) -> list[tuple[bool, ...]]:
-    """Return the possible sets of non-zero columns, with all unsigned ones, smallest first."""
+    """Return all possible sets of non-zero columns, the smallest set first. Columns without a bound
+    on their sign are in every set."""
     choices = [(False, True) if one else (True,) for one in signed]
     return sorted(itertools.product(*choices), key=sum)
 

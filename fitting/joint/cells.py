@@ -222,8 +222,8 @@ def pixels_at(
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
     """Return the expected DN of the pixels in one image, and a mask of usable pixels, (pixels,)
     each. Usable pixels are away from both ends of the scale and from the partly lit outline. A
-    pixel is away from both ends if its expected number is, or if its measured number is at least
-    twice as far from both ends as required.
+    pixel is away from both ends if its expected number has the required distance from them, or if
+    its measured number has twice that distance.
     """
     white, (geometry, weights) = observation.white, _points(observation, channel, light)
     found = _pixel_moments(values, form, geometry, jnp.asarray(white), weights)

@@ -7,10 +7,11 @@ signal of standard deviation s rounded to whole numbers, the errors of mean and 
     sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
 
 (Widrow and Kollar, "Quantization Noise", 2008, chapter 4) for any position of the mean between two
-codes. If black is clipped at a distance m below the mean, the mean has the error a and the variance
-an error with the terms below. Here z = m / s, phi is the normal density and Q its tail probability:
+codes. If black is clipped at a distance m below the mean, the mean is too large by a, and the
+variance is too small by b + 2 m a + a^2. Here z = m / s, phi is the normal density and Q its tail
+probability:
 
-    a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
+    a = s (phi(z) - z Q(z)),    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
 Errors from rounding and from clipping are systematic and the same in all frames. If both are too
 small to matter (`negligible`), the usual moments are used.

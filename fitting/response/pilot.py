@@ -109,7 +109,8 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Count the observations less one irradiance for each pixel; refuse if none."""
+    """Return the number of observations minus the number of pixels, each of which has an unknown
+    irradiance. Raise `InputError` if the result is not positive."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -117,7 +118,7 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
 
 
 def make_rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
-    """Make bin means rise, with at least a third of a linear response's slope."""
+    """Enforce increasing bin means, with at least a third of the slope of a linear response."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 

@@ -150,7 +150,8 @@ def curve(
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Run each setting twice while time allows, at least one once, without refused ones."""
+    """Run each setting twice if the time suffices. Run at least one setting, even if only one call
+    fits into the time. Settings that raise an error are recorded as refused."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime

@@ -25,7 +25,7 @@ UNKNOWN = 2.0  # smallest growth between successive settings that are not increa
 
 
 class NotComparable(InputError):
-    """Raised if results cannot be compared, such as of different shapes."""
+    """Raised if results cannot be compared, for example because their shapes differ."""
 
 
 @dataclass

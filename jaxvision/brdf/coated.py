@@ -193,11 +193,11 @@ def _returned(material: Coated, w: Vec) -> Colour:
 
     An EON body's light has a closed mean over the azimuth, with a kink at the cosine of `w`. The
     nodes of this sum therefore differ from those of `_further`, where the kinks would coincide with
-    the nodes. For other bodies, a product quadrature
-    on both sides of the critical angle integrates broad lobes, and draws with the body's own
-    density narrow ones. Their weights sum to 1 in each direction (Veach's power heuristic). The
-    draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom
-    Sequences", 2018).
+    the nodes. For other bodies, two methods are combined: a product quadrature on both sides of the
+    critical angle, which integrates broad lobes, and draws from the body's own sampler, which
+    integrate narrow lobes. In each direction the weights of both methods sum to 1 (Veach's power
+    heuristic). The draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of
+    Quasirandom Sequences", 2018).
     """
     body = material.body
     if isinstance(body, EON):

@@ -46,7 +46,8 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """Decorate a function of `Ends` whose result is kept in the argument."""
+    """Decorate a function of `Ends` so that its result is computed once and stored in the
+    argument."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:

@@ -1,4 +1,4 @@
-"""Tone curves through points, and the selection among the named ones.
+"""Tone curves through given points, and the choice of a named tone curve.
 
 The curves act elementwise on relative values of any shape. The named curves are in `point_ops`.
 """

@@ -153,7 +153,8 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
 
 
 def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
-    """Return the bodies of all surfaces, and (n,) whether each is bounded; else it is arbitrary."""
+    """Return the bodies of all surfaces, and (n,) whether each surface is bounded. The body of an
+    unbounded surface is arbitrary."""
     found = [body_of(surface.of("shape")) for surface in surfaces]
     ball = np.zeros((1, 3)), np.ones(1)
     bodies = stacked([ball if body is None else body for body in found])

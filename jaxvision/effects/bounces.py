@@ -118,7 +118,7 @@ class Onward:
     ) -> np.ndarray:
         """Bound the radiance from cells to the eye after further reflections, (c, bands) W m^-2
         sr^-1. `cells` is the light that the cells send to the eye by paths of `pieces` segments.
-        `around` is the largest such light toward any viewer; None if that is `cells` too."""
+        `around` is the largest light of this kind toward any viewer; None if it equals `cells`."""
         if self.depth is None:
             return cells
         least = largest(self.sums.cells, cells if around is None else around)

@@ -50,7 +50,8 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
 
 
 def _chain_of(scene: Scene, camera: Camera, free: Box | None, method: Method) -> Chain:
-    """Return a `Row` for every effect, without bounds if a number is not finite or normals turn."""
+    """Return a `Row` for every effect. There are no bounds if a number is not finite or if a
+    surface has a normal map."""
     refuse_tracers(scene, camera)
     depth = method.depth
     if depth is not None and (depth < 1 or depth != int(depth)):

@@ -112,7 +112,8 @@ def _largest(terms: Terms, bands: int) -> np.ndarray:
 
 
 def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield kept bands and reconstruction, by pivoted QR, for one band up to all but one."""
+    """Yield the kept bands and the matrix that reconstructs all bands, for each number of kept
+    bands below the number of all bands. Pivoted QR chooses the bands."""
     weighted = []
     for g, p in terms:
         weight = g.max(0)

@@ -58,9 +58,9 @@ def unmet(
     eye: Eye,
     occluders: tuple[int, ...] | None,
 ) -> np.ndarray:
-    """Return flags, (n,): whether no ray from the eye and no shadow ray meets a surface. If the
-    flag is True, certainly no ray does. `occluders` are the indices of the surfaces that may block
-    light, all if None."""
+    """Return flags, (n,): True if it is proved that neither a ray from the eye nor a shadow ray
+    meets the surface. `occluders` are the indices of the surfaces that may block light, all if
+    None."""
     bodies, never = surface_bodies(surfaces)
     if eye.everywhere or not never.any():
         return np.zeros(len(surfaces), bool)

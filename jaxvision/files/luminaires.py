@@ -246,7 +246,7 @@ def _fill_turn(
 
 
 def _mirror(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Extend columns to negative angles: the value at -h is that at h."""
+    """Extend columns to negative angles: the value at -h equals the value at h."""
     whole = np.concatenate([table[:, :0:-1], table], axis=1)
     return np.concatenate([-angles[:0:-1], angles]), whole
 

@@ -72,7 +72,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
     """Correlate by Fourier transforms.
 
     The whole picture is transformed if the rounding error is small compared with every sum or with
-    the values in each window; otherwise tiles are.
+    the values in each window. Otherwise the picture is transformed tile by tile.
     """
     given, size = image.dtype, kernel.shape[:2]
     dtype = given if given.itemsize >= 4 else np.dtype(np.float32)

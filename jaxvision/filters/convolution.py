@@ -303,8 +303,8 @@ def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
 
 
 def _is_signal(picture: Picture, kernel: AnyKernel) -> bool:
-    """Return whether picture and kernel are signals of one axis. Raise `ValueError` if only the
-    picture is.
+    """Return whether picture and kernel are signals of one axis. Raise `ValueError` if the picture
+    has one axis and the kernel has more.
     """
     if picture.ndim == 1 and kernel.ndim != 1:
         raise ValueError(

@@ -27,7 +27,7 @@ class LowRank(Shown):
         columns: (rank, kh) factors down the columns, in the square root of the kernel's unit.
         rows: (rank, kw) factors along the rows, in the square root of the kernel's unit.
         error: () Frobenius norm of the missing part, in the kernel's unit. For a picture within
-            [-1, 1] the error of a pixel is at most sqrt(kh kw) times it.
+            [-1, 1] the error of a pixel is at most sqrt(kh kw) times `error`.
     """
 
     columns: Float[Array, "rank kh"] = eqx.field(converter=as_float)

@@ -121,8 +121,8 @@ def _compared(
 def warn_of_near_receiver(
     lights: Sequence[Light], rules: Sequence[Rule], point: Vector, normal: Vector, cure: str
 ) -> None:
-    """Warn of the first rectangle of known numbers of whose light its quadrature finds far too
-    little or too much at a known receiver, m. `cure`: a sentence."""
+    """Warn of the first rectangle whose quadrature finds far too little or too much light at a
+    receiver, m. Traced lights and receivers are not checked. `cure`: a sentence."""
     point, normal = (as_array(as_vec(x)) for x in (point, normal))
     if not (is_known(point) and is_known(normal)) or point.ndim > 1:
         return
@@ -138,8 +138,8 @@ def warn_of_near_receiver(
 def warn_of_near_surfaces(
     lights: Sequence[Light], rules: Sequence[Rule], surfaces: Sequence[Surface], cure: str
 ) -> None:
-    """Warn of the first rectangle of known numbers of whose light its quadrature finds far too
-    little or too much on a surface of known numbers. `cure`: a sentence."""
+    """Warn of the first rectangle whose quadrature finds far too little or too much light on a
+    surface. Traced lights and surfaces are not checked. `cure`: a sentence."""
     known = [s for s in surfaces if all(map(is_known, jax.tree.leaves(s.shape)))]
     for i, light, rule in _checked(lights, rules):
         with jax.ensure_compile_time_eval():

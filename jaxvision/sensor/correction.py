@@ -399,7 +399,7 @@ def _find_ended(sensor: Sensor, flat: Master) -> Bool[Array, "..."]:
 
 
 def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
-    """Add pixels to the defects whose flat is saturated, or too dim to be above the noise."""
+    """Add to the defects the pixels whose flat is saturated or does not exceed the noise."""
     if masters.flat is None:
         return masters
     flat = _flat(sensor, masters, masters.flat.mean)

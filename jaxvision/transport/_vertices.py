@@ -95,8 +95,8 @@ class Onward(eqx.Module):
 
 class Vertex(eqx.Module):
     """The result of shading one vertex. `shaded`, (bands,) sr^-1, is the shading for the requested
-    direction. `density`, () sr^-1, is that with which BRDF sampling would draw the requested
-    direction, or None if no weight needs it. `onward` is the continuation of the path."""
+    direction. `density`, () sr^-1, is the density of BRDF sampling at the requested direction, or
+    None if no weight needs it. `onward` is the continuation of the path."""
 
     shaded: Bands
     density: Scalar | None

@@ -1,4 +1,4 @@
-"""Bounds of lamps as sold in random scenes, against a NumPy oracle."""
+"""Bounds of goniometric lamps in random scenes, against a NumPy oracle."""
 
 from dataclasses import replace
 

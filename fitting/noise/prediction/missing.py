@@ -414,7 +414,8 @@ class _Fit:
         return tuple(named or found)
 
     def _with_effects(self, sizes: np.ndarray) -> Expected:
-        """Return the prediction with effects of these sizes, a gain after those before it."""
+        """Return the prediction with effects of these sizes. An error of the gain is applied after
+        the effects that act before the amplifier."""
         found = self._comparison.found
         lines = {"row_noise": found.rows, "column_noise": found.columns}
         values, behind, gain = found.values.copy(), np.zeros_like(found.values), 0.0

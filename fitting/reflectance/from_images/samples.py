@@ -406,8 +406,8 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
 
 def with_offset(samples: Samples, exact: Prediction) -> Samples:
     """Return samples whose prediction is the value at the centre of the pixel plus a correction.
-    With this correction, the prediction equals the exact prediction to first order about the
-    parameter vector of the latter.
+    With this correction, the prediction equals `exact` at the parameter vector of `exact`, and to
+    first order near it.
     """
     samples = replace(samples, points=(), offset=None)
     middle = predict(exact.vector, samples)

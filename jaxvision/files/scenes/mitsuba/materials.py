@@ -153,7 +153,7 @@ _FAMILIES = {
 
 
 def _reflects_all(node: Node) -> bool:
-    """Return whether a metal has neither an index nor a name, so reflects all."""
+    """Return whether a metal has neither an index nor a name. Such a metal reflects all light."""
     given = {"eta", "k"} <= set(node.values)
     name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":
