@@ -42,6 +42,8 @@ STEP = 1e-3  # pixels
 NOT_MATTE = 0.03  # residual, relative to the largest signal, from which it is reported
 FEWEST = 4  # images of a matte ball from which one may be left out
 SPREADS = 25.0  # median deviations from which an image differs from the others
+EQUAL = 3  # fewest images with the same largest reading that count as clipped
+MOVED = 1.0  # pixels between the outlines of a ball in two images
 UNLIKE = 4.0  # factor of an intensity from the median from which it is reported
 UNEVEN = 0.05  # of a highlight: difference of the ball's level from that of other images
 CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported
@@ -126,7 +128,15 @@ def calibrate(
         outline_of(ball, lens, sd=outline_sd, name=f"masks[{i}]") for i, ball in enumerate(balls)
     ]
     black, clip = camera.black_level or 0.0, camera.clip_level
+    top = None if camera.saturation is not None else _clips_at(readings)
     signals = np.stack(readings) - black
+    clipped: tuple[str, ...] = ()
+    if top is not None and top < clip:
+        clip = top
+        clipped = (
+            f"Many readings are equal to the largest, {top:g}, and count as clipped; state "
+            "camera.saturation.",
+        )
     found = (
         _locate_by_shading(signals, balls[0], clip - black, outlines[0], names)
         if kind == "matte"
@@ -135,7 +145,7 @@ def calibrate(
     copies = Copies()
     for name, reading in zip(names, readings, strict=True):
         copies.add(name, reading)
-    sentences = tuple(
+    sentences = clipped + tuple(
         f"{listed(list(same))} hold equal numbers: they are copies of one exposure, so all but "
         "one of these lights are wrong."
         for same in copies.found
@@ -150,6 +160,16 @@ def calibrate(
     if focal_length is None:
         sentences += _lens_finding(found, lens.centre)
     return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings)})
+
+
+def _clips_at(readings: list[Float[np.ndarray, "h w"]]) -> float | None:
+    """Return the largest reading, DN, if more readings are equal to it than chance explains: one or
+    two in each image. None otherwise."""
+    stack = np.stack(readings)
+    most = float(stack.max())
+    counts = np.count_nonzero(stack == most, axis=(1, 2))
+    images = np.count_nonzero(counts)
+    return most if images >= EQUAL and counts.sum() >= EQUAL + 1.5 * images else None
 
 
 def _lens_finding(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:
@@ -218,6 +238,14 @@ def _locate_by_highlights(
     beside: tuple[str, ...] = ()
     for i, (ball, outline) in enumerate(zip(balls, tuple(outlines), strict=True)):
         edge = edge_beside_mask(picture, ball, outline)
+        for name, signal in zip(names, signals, strict=True):
+            own = None if edge is None else edge_beside_mask(signal, ball, outline)
+            if own is not None and np.hypot(*(own - edge)[:2]) > MOVED:
+                raise InputError(
+                    f"{name}: shows ball {i} at {np.hypot(*(own - edge)[:2]):.1f} pixels from its "
+                    "place in the other images: the ball or the camera moved; take that image "
+                    "again, or leave it out."
+                )
         if edge is None:
             beside += (
                 f"The images do not show the outline of ball {i}, so its mask was not checked.",
@@ -354,7 +382,7 @@ def _locate_by_shading(
         gone.append(
             f"{names[odd]} was left out: compared with the other images, it has {level:+.3g} DN on "
             f"all of the ball ({format_percent(share)} of its signal). Its black level, bit depth "
-            "or gamma differs, or other light fell on the ball."
+            "or gamma differs, a shadow or other light fell on the ball, or it moved."
         )
         signals, names, found = signals[kept], [names[i] for i in kept], rest
     size = np.linalg.norm(found.g, axis=1)

@@ -492,6 +492,34 @@ def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, s
     assert any("so its mask was not checked" in s for s in dark.findings)
 
 
+def test_a_ball_that_moved_is_named_in_one_image():
+    """By 2 pixels: its light was 13 degrees off, at 2."""
+    images, mask, _, _ = simulated("mirror", 0)
+    images[3] = np.roll(images[3], 2, axis=1)
+    with pytest.raises(
+        InputError, match=r"images\[3\]: shows ball 0 at 2\.0 pixels from its place"
+    ):
+        calibrate(images, [mask], camera=CAMERA)
+    images, mask, truth, _ = simulated("matte", 0)
+    images[3] = np.roll(images[3], 2, axis=1)
+    found = calibrate(images, [mask], camera=CAMERA, kind="matte")
+    assert "images[3]" not in found.files
+    assert np.abs(standardised(found, np.delete(truth, 3, axis=0))[0]).max() < 4
+
+
+@pytest.mark.parametrize(("kind", "top"), [("matte", 2600), ("mirror", 1500)])
+def test_clipping_below_full_scale_is_noticed(kind, top):
+    """Directions of a matte ball were up to 6 degrees off, at 1.5."""
+    images, mask, truth, _ = simulated(kind, 0)
+    clipped = [np.minimum(image, top) for image in images]
+    found = calibrate(clipped, [mask], camera=CAMERA, kind=kind)
+    assert any(f"the largest, {top}, and count as clipped" in s for s in found.findings)
+    assert np.abs(standardised(found, truth)[0]).max() < 4
+    assert np.isnan(found.intensities).all() == (kind == "mirror")
+    clean = calibrate(images, [mask], camera=CAMERA, kind=kind)
+    assert not any("count as clipped" in s for s in clean.findings)
+
+
 def test_uneven_room_light_widens_the_directions_of_a_matte_ball():
     """Off by 2.2 to 2.9 degrees, at .01 before."""
     images, mask, truth, _ = simulated("matte", 0, lights=ring(45.0))
