@@ -389,3 +389,38 @@ def test_candidates_and_samplers_take_a_prior(half):
         np.sqrt(np.diagonal(laplace.posterior.covariance)),
         rtol=0.08,
     )
+
+
+@pytest.mark.slow
+def test_phong_from_two_halves_of_the_lights_is_that_of_all_lights():
+    """On a ball; its exponent makes the likelihood no Gaussian."""
+    rng, side = np.random.default_rng(0), np.linspace(-0.9, 0.9, 24)
+    x, y = (one[np.add.outer(side**2, side**2) < 0.9] for one in np.meshgrid(side, side))
+    normals = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=1)
+    lights = rng.standard_normal((24, 3)) + np.array([0, 0, 2])
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    names = ("diffuse", "specular", "exponent")
+    scale = {"exponent": {"lower": 1.0, "upper": 500.0, "transform": "log"}}
+    start = dict(zip(names, (0.3, 0.3, 20.0), strict=True))
+
+    def shade(diffuse, specular, exponent, inputs):
+        cosine = inputs @ normals.T
+        mirrored = 2 * cosine * normals[None, :, 2] - inputs[:, 2:]
+        lobe = jnp.maximum(mirrored, 1e-9) ** exponent
+        return jnp.where(cosine > 0, diffuse * cosine + specular * lobe, 0.0)
+
+    with jax.enable_x64(True):
+        exact = np.asarray(shade(0.4, 0.3, 30.0, jnp.asarray(lights)))
+        data = exact + 0.01 * rng.standard_normal(exact.shape)
+
+        def of(part, prior=None):
+            plain = {"lower": 0.0, "upper": 2.0}
+            free = {n: Parameter(start=start[n], **scale.get(n, plain)) for n in names}
+            own = {"inputs": lights[part], "prior": prior}
+            return fitted(Problem(free, shade, Gaussian(sd=0.01), data[part], **own))
+
+        whole, first = of(slice(None)), of(slice(0, None, 2))
+        both = of(slice(1, None, 2), first.as_prior("*"))
+    for one, other in zip(whole.estimates, both.estimates, strict=True):
+        assert abs(one.value - other.value) < 0.05 * one.standard_error
+        assert other.standard_error == pytest.approx(one.standard_error, rel=0.01)
