@@ -40,7 +40,7 @@ def called_for(
     samples: PixelSamples | None = None,
     depth: int | None = None,
 ) -> Problem:
-    """Drop the effects of a problem's scene and camera that no fit of it can detect.
+    """Drop the effects of a problem's scene and camera that no fit of the problem can detect.
 
     An error that all n data share does not average out, so each datum may change by at most the
     tolerance over sqrt(n). To first order, no estimate then changes by more than the tolerance
@@ -52,12 +52,12 @@ def called_for(
         tolerance: largest change of the expected data, in standard deviations of the noise of all
             data together. The noise is that of the sensor in the dark.
         target: a fitted number, as in `influence`; None drops only effects that are negligible for
-            every number, without a fit. For a target the problem is fitted. Effects that together
-            move the target by at most the tolerance in its standard errors are then dropped too,
-            unless they change its standard error by as large a share or the description of the data
-            becomes worse. The bounds of these effects apply near the best fit and not over all
-            ranges. In the certificate they have rank "estimate", and `bound` is the change of all
-            data that would move the target as much.
+            every number, without a fit. For a target, the problem is fitted. Further effects are
+            then dropped if together they move the target by at most the tolerance times its
+            standard error, change the standard error by at most the same share, and do not worsen
+            the description of the data. The bounds of these effects apply near the best fit, not
+            over all ranges. In the certificate these effects have rank "estimate", and `bound` is
+            the size of a change of all data that would move the target equally.
         samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:

@@ -375,7 +375,7 @@ class Fit:
         left = f"{checks.dof:.5g} degrees" if checks.dof >= 1 else "less than one degree"
         return (
             f"chi-square {checks.chi_square:.5g} for {left} of freedom{p}; "
-            f"{agreeing(self.optimum)} of {starts} starts ended as deep"
+            f"{agreeing(self.optimum)} of {starts} starts reached this optimum"
         )
 
     def _heading(self) -> str:

@@ -77,8 +77,8 @@ def verdict(
         )
     elif len(optimum.costs) > 1 and not is_confirmed(optimum, wide_noise=wide_noise):
         failures.append(
-            f"Of {len(optimum.costs)} starts {agreeing(optimum)} ended as deep as this, the others "
-            "at shallower optima, so a deeper one may have been missed; give more starts, "
+            f"Of {len(optimum.costs)} starts {agreeing(optimum)} reached this optimum, the others "
+            "ended at worse optima, so a better one may have been missed; give more starts, "
             "narrower bounds or a start."
         )
     if not explained:
@@ -156,7 +156,7 @@ def posterior_findings(problem: Problem, optimum: Optimum, posterior: Posterior)
     """
     found = []
     if len(optimum.costs) == 1:
-        found.append("One search was made: no other start looked for a deeper optimum.")
+        found.append("One search was made: no other start looked for a better optimum.")
     if optimum.unseen:
         found.append(
             f"The gradient by {listed(list(optimum.unseen))} misses up to "

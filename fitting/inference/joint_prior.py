@@ -344,7 +344,8 @@ def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) 
 def apply_joint_prior(
     free: tuple[Parameter, ...], prior: JointPrior
 ) -> tuple[tuple[Parameter, ...], JointPrior]:
-    """Return the free parameters with a prior's marginals, and its part on them."""
+    """Return the free parameters with the marginals of a joint prior as their priors, and the joint
+    prior restricted to these parameters."""
     by_name = {parameter.name: parameter for parameter in free}
     for name in prior.required:
         if name not in by_name:

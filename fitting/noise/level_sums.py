@@ -179,7 +179,8 @@ class LevelSums:
 
     def _without_flicker(self, average: np.ndarray) -> float:
         """Remove from the sums the temporal variance that a flickering lamp causes where its light
-        is uneven. Return the factor by which the remaining variance is still too large.
+        is uneven. Return the factor by which the remaining variance is too large, because the
+        average frame that estimates the pattern of the light contains noise.
 
         Let P be the deviation of a pixel's light from the mean of the frame, e_f the relative
         excess of light in frame f, and d_f the deviation of the pixel in frame f from its mean over

@@ -23,8 +23,8 @@ _BREAK = 6 / 29
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     """Return the CIE's compressive function f(t), minus 4/29, as two numbers to be added. f is the
     cube root above (6/29)^3 and its tangent line t / (3 (6/29)^2) + 4/29 below (CIE 15:2018,
-    8.2.1.1). Two numbers keep the precision of dark colours and of small differences, which adding
-    the constants at once would lose.
+    8.2.1.1). The caller adds the constants last, so that dark colours and small differences keep
+    their precision.
     """
     curved = t > _BREAK**3
     root = jnp.cbrt(jnp.maximum(t, _BREAK**3 / 2))

@@ -177,8 +177,8 @@ _FORMAT = {
 
 
 class Decay(NamedTuple):
-    """The parts of a decay and of its complement, no units. The decay is exp(-y) = (left +
-    left_rest) scale further, and the complement is 1 - exp(-y) = lost + lost_rest."""
+    """The factors and terms of exp(-y) = (left + left_rest) * scale * further and of 1 - exp(-y) =
+    lost + lost_rest, no units."""
 
     left: Scalars  # (...) between 0.7 and 1.5
     left_rest: Scalars  # (...)

@@ -51,8 +51,8 @@ def equalise_locally(
     For uint8 and uint16 the result equals OpenCV's `CLAHE`, which counts in integers and
     redistributes the clipped counts in a fixed order. As in OpenCV, a picture whose size is not a
     multiple of the number of tiles is first extended by `tiles - size % tiles` rows and columns,
-    mirrored about the last pixel. Where a blend of curves lies half-way between two codes, rounding
-    may give the other code than OpenCV, in 1 of 1,000 pixels of noise.
+    mirrored about the last pixel. If a blend of curves lies half-way between two codes, OpenCV may
+    round to the other code. In a test with a picture of noise this occurred in 1 of 1,000 pixels.
 
     Floating images use equal bins and fractional counts. Values outside the range are clipped to it
     before counting. NaN stays NaN. A tile's values are unchanged if all are in one bin after

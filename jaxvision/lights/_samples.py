@@ -108,8 +108,8 @@ def rules_of(
         scene: gives the lights, and their rules if they have any.
         rule: sampling rule for all lights without a rule of their own.
         numbers: () each, whole numbers that identify a pixel and its sample, or another point.
-            Random rules draw other samples for other numbers. Without numbers, rules are returned
-            unchanged.
+            Random rules draw different samples for different numbers. Without numbers, rules are
+            returned unchanged.
         count: number of sources: first the scene's lights, then surfaces that emit, which use
             `rule`; None for the lights alone.
 

@@ -106,8 +106,8 @@ def outgoing_radiance(
         (bands,) W m^-2 sr^-1.
 
     Raises:
-        ValueError: if spectra differ in their number of bands, or the number of rules in `rule` is
-            not that of the lights.
+        ValueError: if spectra differ in their number of bands, or if `rule` has not one rule for
+            each light.
 
     Example:
         A Lambert surface of albedo 0.5 under 3 W m^-2 at normal incidence: 0.5 / pi * 3.

@@ -73,8 +73,9 @@ def expected_of_count(
         key: random key.
         mean: (...) expected electrons of each pixel, > 0; at a mean of 0 the slope is that of
             `count`, 1, with "pathwise", and 0 with "score".
-        function: from counts (...), electrons, to values (...) in any unit, each of its own pixel
-            only; with "pathwise" and "score" also from all pixels to one value ().
+        function: from counts (...), electrons, to values (...) in any unit, where each value
+            depends only on its own pixel. With "pathwise" and "score", it may also map all pixels
+            to one value ().
         estimator: "pathwise", "measure_valued" or "score".
         draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
             others.
@@ -131,8 +132,8 @@ def expected_of_reading(
         mean: (...) expected reading of each pixel, in any unit.
         rms: () standard deviation of the noise, in that unit, > 0; at 0 only "pathwise" has a
             slope.
-        function: from readings (...) to values (...) in any unit, each of its own pixel only; with
-            "pathwise" and "score" also from all pixels to one value ().
+        function: from readings (...) to values (...) in any unit, where each value depends only on
+            its own pixel. With "pathwise" and "score", it may also map all pixels to one value ().
         estimator: "pathwise", "measure_valued" or "score".
         draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
             others.
@@ -199,8 +200,8 @@ def expected_of_defect(
         key: random key.
         chance: (...) probability of a defect in each pixel, no unit, in [0, 1]; at 0 and 1 the
             slope is 0 with "score".
-        function: from 0 and 1 (...) to values (...) in any unit, each of its own pixel only; with
-            "pathwise" and "score" also from all pixels to one value ().
+        function: from 0 and 1 (...) to values (...) in any unit, where each value depends only on
+            its own pixel. With "pathwise" and "score", it may also map all pixels to one value ().
         estimator: "pathwise", "measure_valued" or "score".
         draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
             others.

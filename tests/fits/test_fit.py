@@ -117,7 +117,7 @@ def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
 
 @pytest.mark.slow
 def test_a_single_search_says_that_it_was_one():
-    words = "no other start looked for a deeper optimum"
+    words = "no other start looked for a better optimum"
     problem = level(NOISE, Gaussian(1.0))
     told = [any(words in s for s in fit(problem, starts=n).findings) for n in (1, 2)]
     assert told == [True, False]
@@ -442,7 +442,7 @@ def test_one_of_many_optima_is_no_success():
     for seed in range(6):
         found = fit(problem, seed=seed)
         assert not found.converged or found.optimum.cost < near.optimum.cost + 0.02, seed
-        said += any("a deeper one may have been missed" in failure for failure in found.failures)
+        said += any("a better one may have been missed" in failure for failure in found.failures)
         assert len(found.optimum.costs) in (16, 32, 48, 64)
     assert said
 

@@ -248,8 +248,8 @@ def _contrast(logs: np.ndarray, errors: np.ndarray, low: int, high: int) -> floa
 
 
 def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
-    """Report the misfit at the outline of the object, and the misfit on the side of the object
-    where it is largest, if these are large enough.
+    """Report the misfit at the object's outline, and the misfit on the side of the object with the
+    largest misfit, each only if it is large enough.
     """
     residual, normals = mean_residual(calibration), calibration.observation.normals
     seen = np.isfinite(residual)
