@@ -255,7 +255,11 @@ def lights(
     radius: Annotated[float | None, typer.Option(help="Radius of two balls, m.", min=1e-6)] = None,
     outline_sd: Annotated[
         float,
-        typer.Option(help="Standard deviation of the whole outline, pixels.", min=0.0, max=100.0),
+        typer.Option(
+            help="Standard deviation of the outline's centre and radius, pixels.",
+            min=0.0,
+            max=100.0,
+        ),
     ] = 0.5,
 ) -> None:
     """Directions or positions of lights and their intensities from photographs of a ball, with one

@@ -140,8 +140,8 @@ def render(
     integrator: Annotated[
         str | None,
         typer.Option(
-            help="direct, path, rays, light or radiosity (default: the scene's). One that differs "
-            "from the scene's starts with its own default samples and depth.",
+            help="direct, path, rays, light or radiosity (default: the scene's). For another "
+            "integrator, the scene's samples and depth are replaced by its defaults.",
             metavar="WORD",
         ),
     ] = None,
@@ -369,8 +369,8 @@ def effects(
     camera: Annotated[
         str,
         typer.Option(
-            help="TOML camera file, or the name of a shipped camera: its sensor, behind the "
-            "scene's view.",
+            help="TOML camera file, or the name of a shipped camera, whose sensor is combined "
+            "with the scene's view.",
             metavar="CAMERA",
         ),
     ] = "",
@@ -398,8 +398,8 @@ def effects(
         bool,
         typer.Option(
             "--estimates",
-            help="Also estimate the light of long paths, and what is not bounded, from small "
-            "pictures without proof.",
+            help="Also estimate the light of long paths and effects without a bound, from small "
+            "pictures and without proof.",
         ),
     ] = False,
     timed: Annotated[
