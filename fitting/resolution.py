@@ -634,8 +634,8 @@ def _findings(
             yield sentence
     if result.fit.failures:
         yield (
-            "The fit may have missed the best edge. Wrong pixels (mark them as NaN) or a second "
-            "edge in the region do this."
+            "The fit may have missed the best edge. Causes are wrong pixels (mark them as NaN) or "
+            "a second edge in the region."
         )
     for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
         share = np.mean(pixels.value == value)
@@ -667,8 +667,8 @@ def _findings(
     if np.abs(skew[0]).max() > _REPORTED_DIFFERENCE and _p_value(*skew) < _CHANCE:
         yield (
             f"The blur is not symmetric about the edge: the transfer has an imaginary part of up "
-            f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part. Coma does this, and so do "
-            "numbers that are not linear in the light: decode a gamma, as of sRGB, first."
+            f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part. Causes are coma, and "
+            "numbers that are not linear in the light: decode sRGB or another gamma first."
         )
     over = (result.otf - 1) / np.sqrt(np.diag(result.otf_covariance))
     if over.max() > _SIGNIFICANT:

@@ -40,8 +40,8 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
         "Every known truth",
         ("quantity", "truth", "estimate", "unit", "95 %", "truth in", "method"),
         rows,
-        f"{held_68} of {count} truths lie in their 68 % interval (about {0.68 * count:.0f} are "
-        f"expected) and {held_95} in their 95 % interval (about {0.95 * count:.0f}).",
+        f"{held_68} of {count} true values lie in their 68 % interval (about {0.68 * count:.0f} "
+        f"are expected) and {held_95} in their 95 % interval (about {0.95 * count:.0f}).",
     )
 
 
@@ -58,7 +58,7 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
     comparisons = compare(sections, truth)
     caption = (
         "Each estimate minus its true value, in standard errors: thick 68 %, thin 95 % interval. "
-        "Grey: where 95 % of all truths should fall."
+        "Grey: the range in which 95 % of all estimates should lie."
     )
     return Section(
         kind="demo",

@@ -43,18 +43,18 @@ def convergence_in_words(posterior: Posterior) -> str:
     if posterior.shifted:
         side = "below" if posterior.shifted > 0 else "above"
         where = (
-            f"The mode of all parameters together lies {abs(posterior.shifted):.1f} standard "
-            f"deviations {side} the most probable value of {posterior.missed} alone"
+            f"The joint mode lies {abs(posterior.shifted):.1f} standard deviations {side} the most "
+            f"probable value of {posterior.missed}"
         )
         if np.isinf(posterior.shifted):
             where = (
-                f"All parameters together have no mode {side} the most probable value of "
-                f"{posterior.missed} alone: their density rises without end"
+                f"There is no joint mode: {side} the most probable value of {posterior.missed} the "
+                "joint density increases without limit"
             )
         return (
-            f"{where}, as for a scale of effects that are fitted beside it. Best values are at the "
-            "most probable value; intervals are quantiles of draws by importance sampling, with an "
-            f"effective number of {posterior.effective:.0f}."
+            f"{where}, as for the standard deviation of effects that are fitted too. Best values "
+            "are at the most probable value; intervals are quantiles of draws by importance "
+            f"sampling, with an effective number of {posterior.effective:.0f}."
         )
     if posterior.missed:
         return (

@@ -348,19 +348,20 @@ OF_CHANNEL = (
     Finding(
         "no halves",
         partial(_halves, agree=None),
-        "The images are too few, or too unlike, to check this by fits of their halves.",
+        "The images are too few, or too different, to check this by separate fits to two halves.",
     ),
     Finding(
         "halves agree",
         partial(_halves, agree=True),
-        "The even and the odd images, fitted alone, agree within these intervals.",
+        "Separate fits to the even and to the odd images agree within these intervals.",
     ),
     Finding(
         "halves differ",
         partial(_halves, agree=False),
-        "The even and the odd images, fitted alone, differ in {shown}, by up to {worst:.0f}"
-        " standard deviations: which images there are decides the answer, for the model misses the"
-        " surface. The intervals include half of the difference; try another model.",
+        "Separate fits to the even and to the odd images differ in {shown}, by up to {worst:.0f}"
+        " standard deviations: the result depends on the choice of images, because the model does"
+        " not describe the surface. The intervals include half of the difference; try another"
+        " model.",
     ),
     Finding(
         "prior alone",
@@ -404,10 +405,10 @@ def score_table(scores: tuple[Score, ...]) -> Table:
             )
             for s in scores
         ),
-        caption="RMS of predicted less measured over the RMS of the signal above black. The band "
-        "is for one pixel: noise, parameters, misfit and the errors that lights share. It is "
-        "1.96 standard deviations, or with a misfit, which is not Gaussian, as many as hold 95 % "
-        "of the pixels under the lights of the fit.",
+        caption="RMS of predicted minus measured over the RMS of the signal above black. The "
+        "band is for one pixel: noise, parameters, misfit and the errors that lights share. It is "
+        "1.96 standard deviations. With a misfit, which is not Gaussian, it is wide enough to "
+        "cover 95 % of the pixels under the fitted lights.",
     )
 
 

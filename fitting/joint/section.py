@@ -60,8 +60,8 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
         Picture(
             "images",
             "Measured, predicted, and their difference",
-            "Lights of the fit and held-out ones. Last row: measured less predicted in standard "
-            "deviations of one pixel, the errors that a light may have included; grey pixels are "
+            "Fitted and held-out lights. Last row: measured minus predicted, in standard "
+            "deviations of one pixel that include the stated errors of the light; grey pixels are "
             "unlit, saturated or near black.",
             partial(figures.images_figure, calibration),
         ),
@@ -79,7 +79,7 @@ def _pictures(calibration: JointCalibration) -> tuple[Picture, ...]:
                 "lights",
                 "How far each light is from its stated strength",
                 "Means and standard deviations given the fitted surface and the scale of the "
-                "errors; the lights' common error is that of k_d and k_s.",
+                "errors. An error that all lights share is part of the errors of k_d and k_s.",
                 partial(figures.lights_figure, calibration),
             )
         )

@@ -401,8 +401,8 @@ def _locate_by_shading(
             "Readings of the ball grow as (n.l)^p with p = "
             f"{format_with_error(found.power, found.power_sd)} in place of 1: they are not linear "
             "(a gamma, an unstated black level), or the ball is not Lambertian. This power would "
-            f"turn the directions by {turn:.2g} degrees (median), which their standard deviations "
-            "include.",
+            f"rotate the directions by {turn:.2g} degrees (median), which their standard "
+            "deviations include.",
         )
     if found.floor:
         findings += (
@@ -418,9 +418,9 @@ def _locate_by_shading(
         findings += (
             "Pixels that face away from the lights are brighter on one side of the ball: "
             f"{found.unlit[low]:.4g} DN above black in {names[low]}, {found.unlit[high]:.4g} DN in "
-            f"{names[high]}. Room light does this, and an image of another black level. It would "
-            f"turn the directions by {turn:.2g} degrees (median), which their standard deviations "
-            "include.",
+            f"{names[high]}. Causes are room light, or images with different black levels. This "
+            f"difference would rotate the directions by {turn:.2g} degrees (median), which their "
+            "standard deviations include.",
         )
     off = np.abs(found.values - outline.values) / np.sqrt(np.diag(outline.covariance))
     if off.max() > CONTRADICTED:

@@ -55,8 +55,8 @@ def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Sec
                 "lights",
                 "Where the lights are",
                 "From the camera: the centre is toward it, and the circle is at 90 degrees to it. "
-                f"Ellipses are {ENLARGED:.0f} standard deviations; the part that they share turns "
-                "all lights by the same angle.",
+                f"Ellipses are {ENLARGED:.0f} standard deviations; the part that they share "
+                "rotates all lights by the same angle.",
                 partial(lights_figure, lights),
             ),
         ),

@@ -88,7 +88,7 @@ def multiplied(
         f"Dim flats are {format_with_error(ratio, error)} times as skewed as light alone makes "
         "them, as where a register multiplies electrons (EMCCD): the excess noise factor is 2 and "
         f"variance over signal, {gain:.4g} DN, is twice the gain from an electron of a pixel to "
-        f"the codes, which is {gain / 2:.4g} DN. What rests on the gain is not given.",
+        f"the codes, which is {gain / 2:.4g} DN. Figures that depend on the gain are not given.",
     )
 
 

@@ -705,17 +705,17 @@ FINDINGS = (
     Finding(
         "drift of the light",
         partial(_lamp, "drift"),
-        "The light {way} by {change} % from the {span}, as of a lamp that drifts over the series: "
-        "the means differ from a line, but not as with a curved response. At which level the light "
-        "was the stated one is unknown, so figures per photon have a further error of {error:.2g} "
-        "%. Measure the light of every level.",
+        "The light {way} by {change} % from the {span}, as if the lamp drifts over the series: "
+        "the means differ from a line, but not as with a curved response. It is unknown at which "
+        "level the light equals the stated light, so figures per photon have a further error of "
+        "{error:.2g} %. Measure the light of every level.",
     ),
     Finding(
         "drift or curve",
         partial(_lamp, "either"),
         "Signal over light changes with light. A curved response and a light that drifts over the "
-        "series explain it about equally well, so both were fitted: the errors of the figures, "
-        "of the linearity error too, include that of the choice. If the light is steady, the "
+        "series explain it about equally well, so both were fitted. The errors of all figures, "
+        "including the linearity error, allow for both. If the light is steady, the "
         "linearity error is {low:.2g} to {high:.2g} %; if the response is linear, the light "
         "drifts.{within} Take the levels in random order, or measure the light of every level.",
     ),
@@ -733,14 +733,15 @@ FINDINGS = (
     Finding(
         "black level of the darks",
         _black_of_darks,
-        "Darks {moved:.3g} DN {side} the flats' black level, as of another camera, setting or "
-        "temperature, would look the same. Dark noise and dark current are those of the darks.",
+        "Darks of another camera, setting or temperature, {moved:.3g} DN {side} the flats' black "
+        "level, would have the same effect. Dark noise and dark current are computed from the "
+        "darks.",
     ),
     Finding(
         "dimmest level",
         _of_the_dimmest,
-        "Without the dimmest level the others show no such offset: the light or the exposure time "
-        "of that level may be wrong instead.",
+        "Only the dimmest level shows this offset: instead, its light or its exposure time may be "
+        "wrong.",
     ),
     Finding(
         "brighter-fatter effect",
@@ -777,9 +778,9 @@ FINDINGS = (
     Finding(
         "lights that drift",
         partial(_lamp, "scatter"),
-        "The lamp may drift: successive levels differ by less than independent ones do. At which "
-        "level its light was the stated one is then unknown, so figures per photon have a further "
-        "error of {error:.2g} %. Measure the light of every level.",
+        "The lamp may drift: successive levels differ by less than independent ones do. It is "
+        "then unknown at which level the light equals the stated light, so figures per photon have "
+        "a further error of {error:.2g} %. Measure the light of every level.",
     ),
     Finding(
         "printed times",
@@ -876,8 +877,8 @@ FINDINGS = (
         "saturation",
         _saturation,
         "Saturation is the level of largest variance, {level} {unit}. The true saturation point "
-        "lies between its neighbours, {width} {unit} apart. This is most of the error of every "
-        "capacity.",
+        "lies between its neighbours, {width} {unit} apart. This distance causes most of the "
+        "error of every capacity.",
     ),
     Finding(
         "glow",

@@ -140,7 +140,7 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
     count = round(float(np.median(counts)))
     if count < FEWEST_PIXELS or np.any(np.abs(counts / count - 1) > 1e-6):
         raise InputError(
-            f"{file}: its rows speak of {counts.min():g} to {counts.max():g} pixels; all need the "
+            f"{file}: its rows state {counts.min():g} to {counts.max():g} pixels; all need the "
             f"same number, at least {FEWEST_PIXELS}."
         )
     return count

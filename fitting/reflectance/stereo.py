@@ -549,9 +549,10 @@ def _common_factor_finding(common: Common, moved: Vectors) -> str:
         )
     shown = listed([f"{value:.3f}" for value in common.factors])
     return (
-        "The images do not agree with the intensities of the lights, but would with factors "
-        f"{shown} (standard errors up to {common.factor_sds.max():.2g}; their common scale is "
-        "arbitrary). Causes are wrong intensities or exposure times, or a lamp that drifts. "
+        "The images contradict the intensities of the lights. They agree with the intensities "
+        f"multiplied by the factors {shown} (standard errors up to {common.factor_sds.max():.2g}; "
+        "the common scale is arbitrary). Causes are wrong intensities or exposure times, or a lamp "
+        "that drifts. "
         f"They explain {format_percent(common.explained)} of the residuals' sum of squares. "
         f"Applying them {allowed} If so, multiply the intensities by these factors."
     )
@@ -601,7 +602,7 @@ def _misfit_finding(
         sigma, sd, turned = np.degrees([rough.sigma, rough.sigma_sd, rough.turned])
         few = (
             f" A rough body (Oren-Nayar, sigma = {format_with_error(sigma, sd)} degrees) explains "
-            f"{format_percent(rough.explained)} of the residuals' squares. It would turn normals "
+            f"{format_percent(rough.explained)} of the residuals' squares. It would rotate normals "
             f"by {turned:.2g} degrees (median), which the standard deviations include. If the "
             'surface is rough, give model = "oren-nayar".'
         )

@@ -331,8 +331,8 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
     if not shared:
         return ""
     return (
-        "The pictures were JPEG, which rounds brightness and colour apart. In a scene of one hue "
-        "all pixels of a code share that error, which the error bands include: "
+        "The pictures were JPEG, which rounds brightness and colour separately. In a scene of one "
+        "hue all pixels of a code share that error, which the error bands include: "
         f"{max(shared.values()):.2g} DN rms ({', '.join(shared)}). A scene of several hues does "
         "not have this error."
     )
@@ -384,10 +384,10 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     size, code = max(known.values())
     return (
-        "Detailed places of the picture give another curve than flat ones "
+        "The curve of detailed parts of the picture differs from the curve of flat parts "
         f"({', '.join(known)}), by up "
         f"to {format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}, as if the "
-        "camera sharpens. The curve uses flat places only, gamma uses all."
+        "camera sharpens. The curve uses flat parts only, gamma uses all."
     )
 
 

@@ -425,7 +425,7 @@ def test_darks_of_another_camera_are_a_cause_of_an_offset_of_the_light():
     told = " ".join(section(noise.calibrate(measured)).findings)
     assert "photons less than recorded" in told
     assert "leaked" not in told
-    moved = float(told.split("Darks ")[1].split(" DN above the flats' black level")[0])
+    moved = float(told.split("temperature, ")[1].split(" DN above the flats' black level")[0])
     assert abs(moved - 6.0) < 0.1
 
 

@@ -71,16 +71,16 @@ def test_a_gamma_that_nobody_stated_is_fitted(seed):
     """Taken as linear, the diffuse term was .78 +- .02 for .4."""
     images = encoded_ball(lambda x: x ** (1 / 2.2), seed)
     found = reflectance.calibrate(of_8_bits(images), model="phong").section
-    assert any("taken as encoded" in s for s in found.findings)
+    assert any("treated as encoded" in s for s in found.findings)
     for name, truth in {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0, "gamma": 2.2}.items():
         low, high = find(found.estimates, name).interval_95
         assert low < truth < high < 1.2 * low
     # pixels are points, which the fit has to see before it judges the curve
     assert_covers(joint.calibrate(of_8_bits(images)).section.estimates, TRUTH | {"gamma": 2.2})
     linear = reflectance.calibrate(of_8_bits(encoded_ball(lambda x: x)), model="phong").section
-    assert not any("taken as encoded" in s for s in linear.findings)
+    assert not any("treated as encoded" in s for s in linear.findings)
     stated = reflectance.calibrate(of_8_bits(images, gamma=1.0), model="phong").section
-    assert not any("taken as encoded" in s for s in stated.findings)
+    assert not any("treated as encoded" in s for s in stated.findings)
 
 
 TRUTH = {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0}
@@ -98,7 +98,7 @@ def test_pictures_in_srgb_are_decoded(seed):
     observation = of_8_bits(encoded_ball(srgb, seed))
     found = reflectance.calibrate(observation, model="phong").section
     assert_covers(found.estimates, TRUTH)
-    assert any("taken as sRGB and were decoded" in s for s in found.findings)
+    assert any("treated as sRGB and were decoded" in s for s in found.findings)
     assert_covers(joint.calibrate(observation).section.estimates, TRUTH)
 
 

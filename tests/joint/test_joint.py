@@ -674,7 +674,7 @@ def test_a_fit_left_with_few_cells_has_not_converged(monkeypatch):
 @pytest.mark.parametrize(
     ("deviations", "told"),
     [
-        (None, "too few, or too unlike"),
+        (None, "too few, or too different"),
         ([0.0, 1.0, 0.0], "agree within these intervals"),
         ([0.0, 7.4, 0.0], "differ in exponent (1 and 2), by up to 7 standard deviations"),
     ],

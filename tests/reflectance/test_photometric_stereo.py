@@ -302,7 +302,7 @@ def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
     lights, normals = ring(len(exposures)), ball(30).reshape(-1, 3)
     readings = photons(lights, normals, exposures)
     found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
-    (told,) = (s for s in found.findings if "do not agree with the intensities" in s)
+    (told,) = (s for s in found.findings if "contradict the intensities" in s)
     said = told.split("factors ")[1].split(" (standard")[0].replace(" and ", ", ")
     factors = np.array([float(number) for number in said.split(", ")])
     np.testing.assert_allclose(

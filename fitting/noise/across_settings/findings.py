@@ -69,8 +69,8 @@ def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, F
         Finding(
             f"{key}: rivals",
             partial(_rivals, law),
-            "Before that, {rivals} did not seem to be shared either. With it, the frames no longer "
-            "contradict that, but they can hardly distinguish these cases.",
+            "Before that, {rivals} seemed to differ between settings too. Now the frames no longer "
+            "contradict a common law there, but they can hardly distinguish these cases.",
         ),
     )
 

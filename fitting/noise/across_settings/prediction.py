@@ -74,7 +74,7 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
     kept = all(one.labels == ("levels kept out of its fit",) for one in predictions)
     which = "which were held out in a second fit,"
     if not kept:
-        which = "some of them those of its fit, because there are too few to hold some out,"
+        which = "some of which were fitted, because there are too few to hold some out,"
     words = [
         f"The camera over all settings alone predicts {levels} levels of {len(predictions)} "
         f"settings, {which} with chi-squares per degree of freedom of {ratios}."
@@ -100,5 +100,5 @@ def table(predictions: tuple[Prediction, ...]) -> Table:
         ("setting", "levels", "quantity", "degrees of freedom", "χ² per degree", "p-value"),
         rows,
         "By the sensor of all settings alone; errors are those of the frames and of the camera's "
-        "draws. χ² per degree is near 1 where it holds.",
+        "draws. χ² per degree is near 1 if the prediction is right.",
     )

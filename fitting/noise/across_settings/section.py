@@ -279,5 +279,5 @@ def _claims_table(calibration: CameraCalibration) -> Table:
             for name, one, degrees in judged
         ),
         "Score tests: the decrease of chi-square if each gain, or each temperature, had its own "
-        "value. A claim is dropped below p = 0.1 %, the worst first.",
+        "value. An assumption is dropped if p is below 0.1 %, the most significant first.",
     )

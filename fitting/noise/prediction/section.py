@@ -80,7 +80,7 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
     if not judged.missed and not _scatter_alone(prediction):
         least = min(one.p_value for one in judged.agreement.values())
         sentences.append(
-            f"The frames agree with it within their errors (the least p-value is {least:.2g})."
+            f"The frames agree with it within their errors (the smallest p-value is {least:.2g})."
         )
     return (*sentences, *prediction.remarks, *explanations(prediction))
 
@@ -147,7 +147,7 @@ def table(prediction: Prediction) -> Table:
         ("quantity", "levels", "degrees of freedom", "χ² per degree", "p-value"),
         tuple(rows),
         "The camera alone predicts each level by the moments of its sensor; errors are those of "
-        "the frames and of the camera's draws. χ² per degree is near 1 where it holds.",
+        "the frames and of the camera's draws. χ² per degree is near 1 if the prediction is right.",
     )
 
 
@@ -175,7 +175,7 @@ def levels_table(prediction: Prediction) -> Table:
         "Levels",
         tuple(heads),
         tuple(rows),
-        "Apart: measured less predicted, in standard errors of the frames and of the camera's "
+        "Apart: measured minus predicted, in standard errors of the frames and of the camera's "
         "draws.",
     )
 

@@ -242,8 +242,8 @@ def _noise_of_linearity(sheet: Release4) -> str:
     alone = 100 * np.sqrt(2 / np.pi) * float(errors.mean())
     found = float(sheet.linear.values[LINEARITY.name])
     return (
-        f"The noise of the means alone makes a linearity error of {format_number(alone, 3)} % of a "
-        f"straight camera; this one has {format_number(found, 3)} %."
+        f"In a linear camera, the noise of the means alone would cause a linearity error of "
+        f"{format_number(alone, 3)} %; this camera has {format_number(found, 3)} %."
     )
 
 
@@ -255,8 +255,8 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
     without, behind = (100 * np.sqrt(max(float(np.median(x)), 0)) for x in (plain, filtered))
     return [
         f"PRNU is {format_number(without, 2)} % without the high-pass and "
-        f"{format_number(behind, 2)} % with it: most of it is uneven over more than 10 pixels, as "
-        "light and lenses are."
+        f"{format_number(behind, 2)} % with it: most of it varies over more than 10 pixels, as "
+        "uneven light does."
     ]
 
 

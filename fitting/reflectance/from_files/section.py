@@ -106,7 +106,7 @@ def error_table(calibration: BRDFCalibration) -> Table:
         MODELS, key=lambda model: metric(calibration.held_out[model], calibration.objective)
     )
     return Table(
-        title="Models compared at incidences that no fit has seen",
+        title="Comparison of models at held-out incidences",
         columns=(
             "model",
             "lobe about",

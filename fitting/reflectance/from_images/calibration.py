@@ -34,12 +34,12 @@ FEWEST_IN_HIGHLIGHT = 6.0  # samples that determine size, height and width of a 
 LINEAR_ERROR = 0.01  # relative rms error below which a model of linear files describes them
 LEAST_EXPONENT = 1.4  # of encoded files
 ENCODED = (
-    "The files are taken as encoded, with an exponent that is fitted, although the rig states no "
+    "The files are treated as encoded, with a fitted exponent, although the rig states no "
     "gamma: no model of linear files describes them half as well. State camera.gamma where it is "
     "known (1 for linear files)."
 )
 SRGB = (
-    "The files are taken as sRGB and were decoded, although the rig does not say so: no model of "
+    "The files are treated as sRGB and were decoded, although the rig does not say so: no model of "
     "linear files describes them half as well, and no pure gamma as well. State camera.gamma where "
     "it is known (1 for linear files)."
 )

@@ -346,7 +346,7 @@ GIVEN = (
     Finding(
         "unused levels",
         lambda c: c.observation.levels is not None,
-        "Flats and darks do not count here; joint.calibrate (jaxvision-fit joint) fits with them.",
+        "Flats and darks are not used here; joint.calibrate (jaxvision-fit joint) fits with them.",
     ),
 )
 
@@ -492,7 +492,7 @@ OF_ALL = (
     Finding(
         "brightness",
         _brightness,
-        "Most of the misfit is one factor for each image: as wholes they differ from the prediction"
+        "Most of the misfit is one factor for each image: whole images differ from the prediction"
         " by {low} to {high} ({share} rms). Causes are lamps of another brightness than the rig"
         " states, or automatic exposure; correct the intensities, or state intensity_sd.",
     ),
@@ -507,8 +507,8 @@ OF_ALL = (
         _shadows,
         "Attached shadows are not black: on average they have {shares} % of the diffuse term in"
         " full light. Causes are interreflection, stray light, or a black level that is set too"
-        " low. The fit leaves shadows out, and intervals include the effect of as much light on"
-        " all pixels.",
+        " low. The fit leaves shadows out, and intervals include the effect of an equal amount"
+        " of light on all pixels.",
     ),
 )
 
