@@ -101,6 +101,7 @@ def register_lobe(
         albedo=albedo,
         shading=shading,
         bound=partial(bound, convention=convention),
+        isotropic=True,
     )
 
 

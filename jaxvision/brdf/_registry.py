@@ -38,7 +38,8 @@ class Family(NamedTuple):
     BRDF is a sum of delta functions. `absorption(material)` returns the absorption of the body
     behind the surface, (bands,) m^-1; it is None for a family that encloses no body. `bound`
     returns the suprema of the shading; it is None if no bound is known. `table` describes the
-    material's table in scene files, or is None.
+    material's table in scene files, or is None. `isotropic(material)` tells whether the BRDF
+    depends on the azimuths of `wi` and `wo` only by their difference.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]
@@ -50,6 +51,7 @@ class Family(NamedTuple):
     table: Table | None
     specular: Callable[[Any, Vec], Specular] | None = None
     absorption: Callable[[Any], Colour | None] | None = None
+    isotropic: Callable[[Any], bool] = lambda material: False
 
 
 _FAMILIES: dict[type, Family] = {}
@@ -78,6 +80,7 @@ def register(
     bound: Bound | None = None,
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
+    isotropic: bool | Callable[[Any], bool] = False,
 ) -> None:
     """Register the class of a material with its functions, so that all integrators can use it.
 
@@ -101,6 +104,9 @@ def register(
         from_file: function that makes the record from the keys of a file, if the keys are not the
             fields of the record. The names, defaults and docstring of its parameters define the
             keys; `**fields` takes all other fields of the record.
+        isotropic: whether the BRDF depends on the azimuths of `wi` and `wo` only by their
+            difference, or a function that tells this of a material from its structure. A coat over
+            an isotropic body is computed much faster.
 
     Raises:
         ValueError: if only one of `sample` and `pdf` is given.
@@ -123,6 +129,7 @@ def register(
         shaded if shading is None else shading,
         bound,
         table_for(record, word, from_file),
+        isotropic=isotropic if callable(isotropic) else lambda material: isotropic,
     )
 
 

@@ -20,7 +20,7 @@ coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broa
 to 3e-3 for a glossy body of roughness 0.15. In the local frame the normal is +z.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import equinox as eqx
 import jax
@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 
 from ..core._bounds import Ends, Reflection, least, most
 from ..core._numerics import divide, safe_sqrt, smallest_divisor
-from ..core._quadrature import gauss_legendre
+from ..core._quadrature import gauss_legendre, interpolate_legendre
 from ..core._types import (
     AMOUNT,
     FRACTION,
@@ -155,17 +155,19 @@ def _returned_by_coat(material: Coated, cosine: Scalar) -> Colour:
 
 
 def _returned_uniform(
-    material: Coated, order: int, *, dense: bool = False
+    material: Coated, order: int, *, dense: Literal["grazing", "normal"] | None = None
 ) -> tuple[Float[Array, " n"], Array]:
     """Return the nodes c of a quadrature over the cosine inside the coat, (n,), and the weights 2 c
     r dc, (n, bands) or (n, 1), whose sum is R. Beyond the critical angle r = 1. At smaller angles c
-    dc = t dt / eta^2, where t is the cosine outside the coat. If `dense`, the nodes are denser near
-    t = 0, where r is steep."""
+    dc = t dt / eta^2, where t is the cosine outside the coat. The nodes may be denser near t = 0,
+    where r is steep, or near t = 1, where the body's light may depend on sqrt(1 - t)."""
     eta = material.interface.eta[0]
     beyond = safe_sqrt((eta - 1) * (eta + 1)) / eta
     t, dt = gauss_legendre(order)
-    if dense:
+    if dense == "grazing":
         t, dt = t * t, 2 * t * dt
+    elif dense == "normal":
+        t, dt = t * (2 - t), 2 * (1 - t) * dt
     t, dt = jnp.asarray(t, eta.dtype), jnp.asarray(dt, eta.dtype)
     inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
     cosines = jnp.concatenate([beyond * t, inside])
@@ -201,7 +203,7 @@ def _returned(material: Coated, w: Vec) -> Colour:
     """
     body = material.body
     if isinstance(body, EON):
-        cosines, weights = _returned_uniform(material, 8, dense=True)
+        cosines, weights = _returned_uniform(material, 16, dense="grazing")
         mean = jax.vmap(lambda c: eon._azimuth_mean(body, c, w.z))(cosines)
         return jnp.pi * (weights * mean).sum(axis=0)
     own = family(body)
@@ -231,23 +233,28 @@ def _at(cosine: Scalar, azimuth: Scalar) -> Vec:
     return Vec(sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine)
 
 
-def _further(material: Coated, i: Vec, o: Vec) -> Colour:
+def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     """Return a_i a_o / (pi (R - S)), the body's light after at least one return by the interface,
-    (bands,) sr^-1, for two directions inside the coat; 0 if a coat absorbs all of it."""
+    (bands,) sr^-1, for two directions outside the coat; 0 if a coat absorbs all of it. For an
+    isotropic body the share a depends on the cosine alone: it is computed at nodes, whatever the
+    number of directions, and interpolated."""
     if isinstance(material.body, Lambert):
         kept = _returned_uniform(material, 12)[1].sum(axis=0)
         whole = jnp.pi * material.body.diffuse
         return whole * whole * kept / (jnp.pi * (1 - whole * kept))
-    cosines, weights = _returned_uniform(material, 8)
+    isotropic = family(material.body).isotropic(material.body)
+    order = 12 if isotropic else 8
+    cosines, weights = _returned_uniform(material, order, dense="normal" if isotropic else None)
     # the azimuths differ, for a body that depends on them
     azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
-
-    def again(c: Scalar, azimuth: Scalar) -> Colour:
-        return _returned(material, _at(c, azimuth))
-
-    left = weights.sum(axis=0) - (weights * jax.vmap(again)(cosines, azimuths)).sum(axis=0)
-    shares = _returned(material, i) * _returned(material, o)
-    return divide(shares, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))
+    shares = jax.vmap(lambda c, phi: _returned(material, _at(c, phi)))(cosines, azimuths)
+    left = weights.sum(axis=0) - (weights * shares).sum(axis=0)
+    if isotropic:
+        places = (1 - safe_sqrt((w.x * w.x + w.y * w.y) / (1 + w.z)) for w in (wi, wo))
+        i, o = (interpolate_legendre(shares[order:], place) for place in places)  # 1 - sqrt(1 - t)
+    else:
+        i, o = (_returned(material, _refracted_inside(material, w)) for w in (wi, wo))
+    return divide(i * o, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))
 
 
 def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
@@ -260,7 +267,7 @@ def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
         * _transmitted_by_coat(material, viewer)
         / material.interface.eta**2
     )
-    return where_seen(wi, wo, way * (first + _further(material, i, o)))
+    return where_seen(wi, wo, way * (first + _further(material, light, viewer)))
 
 
 def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
@@ -361,4 +368,5 @@ register(
     albedo=albedo,
     bound=_bound,
     from_file=_from_file,
+    isotropic=lambda material: family(material.body).isotropic(material.body),
 )

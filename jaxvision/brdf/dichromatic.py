@@ -146,4 +146,5 @@ register(
     shading=shading,
     bound=_bound,
     word="",
+    isotropic=lambda own: all(family(x).isotropic(x) for x in (own.body, own.interface)),
 )

@@ -142,4 +142,4 @@ def _from_file(*, roughness: Annotated[float, FRACTION], **fields: Any) -> EON:
     return EON(roughness=roughness, **fields)
 
 
-register(EON, evaluate=evaluate, albedo=albedo, bound=_bound, from_file=_from_file)
+register(EON, evaluate=evaluate, albedo=albedo, bound=_bound, from_file=_from_file, isotropic=True)

@@ -167,4 +167,5 @@ register(
     bound=table_bound,
     word="measured",
     from_file=_from_file,
+    isotropic=True,
 )

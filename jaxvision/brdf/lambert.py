@@ -77,4 +77,5 @@ register(
     evaluate=evaluate,
     albedo=albedo,
     bound=lambda x: Reflection(peak(x, "diffuse")),
+    isotropic=True,
 )

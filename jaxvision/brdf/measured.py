@@ -207,6 +207,7 @@ for _record in (IsotropicTable, AnisotropicTable):
         albedo=albedo,
         bound=table_bound,
         word="",
+        isotropic=_record is IsotropicTable,
     )
 
 Table = TypeVar("Table", bound=Material)

@@ -143,4 +143,4 @@ def _from_file(*, sigma: Annotated[float, NOT_NEGATIVE], **fields: Any) -> OrenN
     return OrenNayar(sigma=np.radians(sigma), **fields)
 
 
-register(OrenNayar, evaluate=evaluate, bound=_bound, from_file=_from_file)
+register(OrenNayar, evaluate=evaluate, bound=_bound, from_file=_from_file, isotropic=True)

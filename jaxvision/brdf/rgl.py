@@ -255,4 +255,5 @@ register(
     shading=shading,
     bound=_bound,
     word="",
+    isotropic=lambda material: len(material.phi) <= 2,
 )

@@ -468,4 +468,5 @@ register(
     albedo=albedo,
     bound=_bound,
     from_file=_from_file,
+    isotropic=lambda material: jnp.ndim(material.roughness) == 0,
 )

@@ -26,6 +26,7 @@ def towards(theta, phi=0.0):
 
 
 VIEWS = towards(np.arccos(COSINES))
+PAIRS = (0.0, 1.5), (0.9, 1.2), (0.02, 1.55)  # polar angles, rad
 
 
 @distributions
@@ -52,7 +53,7 @@ def _furnace(coat, view):
         return brdf.evaluate(coat.body, brdf.coated._refracted_inside(coat, w), inside)[0]
 
     def further(w):
-        return brdf.coated._further(coat, brdf.coated._refracted_inside(coat, w), inside)[0]
+        return brdf.coated._further(coat, w, viewer)[0]
 
     def passed(w):
         return brdf.coated._transmitted_by_coat(coat, w)[0]
@@ -78,6 +79,30 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
     for cosine in (1.0, 0.7, 0.3):
         found = jax.jit(_furnace)(coat, towards(np.arccos(cosine)))
         assert float(found) == pytest.approx(1, abs=most)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [jv.OrenNayar([0.3], 0.5), MULTIPLE([1.0], 0.4), jv.Phong([0.1], [0.3], 50.0)],
+    ids=lambda body: type(body).__name__,
+)
+def test_interpolated_shares_are_those_of_the_quadrature(body):
+    """a_i a_o of three pairs over that of a fourth, in which the common factor cancels."""
+    coat, normal = jv.Coated(body, GLASS, 0.1), brdf.coated.as_vec(towards(0.4))
+    pairs = [[brdf.coated.as_vec(towards(angle)) for angle in two] for two in PAIRS]
+
+    @jax.jit
+    def ratios(coat):
+        share = [
+            brdf.coated._returned(coat, brdf.coated._refracted_inside(coat, w))[0]
+            for w in (normal, *(w for pair in pairs for w in pair))
+        ]
+        of_pairs = jnp.stack([i * o for i, o in zip(share[1::2], share[2::2], strict=True)])
+        found = jnp.stack([brdf.coated._further(coat, *pair)[0] for pair in pairs])
+        return of_pairs / share[0] ** 2, found / brdf.coated._further(coat, normal, normal)[0]
+
+    true, found = ratios(coat)
+    np.testing.assert_allclose(found, true, rtol=3e-3)
 
 
 @pytest.mark.slow
