@@ -566,9 +566,9 @@ def lights(
     root = os.path.relpath(folder, out or Path()).replace(os.sep, "/")
     lines = "\n".join(f"{name} = {value}" for name, value in known.items())
     said = section(found, root=root, camera=lines)
-    if settings := different_settings(images):
+    if differing := different_settings(images):
         sentence = (
-            f"By their metadata, the images differ in settings ({settings}); the intensities of "
+            f"By their metadata, the images differ in settings ({differing}); the intensities of "
             "lights include this."
         )
         said = replace(said, findings=(*said.findings, sentence))

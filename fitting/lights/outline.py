@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from jaxvision.errors import InputError
 
@@ -150,7 +150,8 @@ def _edge(
     x, y = column + np.outer(np.cos(turn), along), row + np.outer(np.sin(turn), along)
     inside = (x >= 0) & (y >= 0) & (x <= picture.shape[1] - 1) & (y <= picture.shape[0] - 1)
     light = map_coordinates(picture, [y, x], order=1, mode="nearest")
-    light = gaussian_filter(light, (2, 4), mode=("wrap", "nearest"))
+    light = gaussian_filter1d(light, 2, axis=0, mode="wrap")
+    light = gaussian_filter1d(light, 4, axis=1, mode="nearest")
     steps = np.where(inside, np.abs(np.gradient(light, axis=1)), 0)
     edge = along[np.argmax(steps, axis=1)] - radius
     design = np.stack([np.cos(turn), np.sin(turn), np.ones(RAYS)], axis=1)

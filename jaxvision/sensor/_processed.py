@@ -7,7 +7,7 @@ two apart are compared, because they have the same colour in a mosaic.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 SIDE = 512  # pixels of a frame's middle that are looked at, along each side
 BLOCK = 8  # pixels of a side
@@ -24,7 +24,7 @@ SIGMAS = 5.0
 Plane = Float[np.ndarray, "h w"]
 
 
-def middle(frames: np.ndarray) -> Plane:
+def middle(frames: ArrayLike) -> Plane:
     """Return the middle of the first band of the first frame."""
     plane = np.asarray(frames, float)
     plane = plane.reshape(-1, *plane.shape[-3:])[0, ..., 0]
@@ -39,10 +39,7 @@ def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
     rows, columns = ((size - reach) // BLOCK * BLOCK for size in plane.shape)
     down = [plane[2 * i : 2 * i + rows, :columns] for i in range(len(weights))]
     across = [plane[:rows, 2 * i : 2 * i + columns] for i in range(len(weights))]
-    return [
-        sum(weight * own for weight, own in zip(weights, some, strict=True))
-        for some in (down, across)
-    ]
+    return [np.tensordot(weights, np.stack(some), 1) for some in (down, across)]
 
 
 def _sums(values: Plane) -> np.ndarray:

@@ -464,7 +464,8 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
     own = [part for part in found.parts if not part.lasts and part.along == "pixels"]
     if own and top > 1:
         variance = sum(map(_variance, own), jnp.zeros_like(found.image))
-        share = _processed.noise_ratio(*map(_processed.middle, (found.image, variance)), codes)
+        light, noise = _processed.middle(found.image), _processed.middle(variance)
+        share = _processed.noise_ratio(light, noise, codes)
         if share < _processed.LESS_NOISE:
             _warn(
                 f"the noise of raw, at its smoothest, has {share:.2g} of the variance that the "

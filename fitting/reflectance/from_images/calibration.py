@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
@@ -270,7 +271,8 @@ def _decoded_from_srgb(observation: Photographs) -> Photographs:
     black, white = observation.black, observation.white
 
     def linear(dn: np.ndarray | float) -> np.ndarray:
-        return black + white * np.asarray(srgb_decode(np.clip((dn - black) / white, 0, 1)))
+        share = jnp.asarray(np.clip((dn - black) / white, 0, 1))
+        return black + white * np.asarray(srgb_decode(share))
 
     of_noise = {"gain": None, "read_noise": None}  # of encoded numbers
     return replace(

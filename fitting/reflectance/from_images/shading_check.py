@@ -192,8 +192,9 @@ def _unequal(
     ratio = np.log(size / driven)
     ratio -= np.median(ratio[known])
     spread = np.median(np.abs(ratio[known])) / ndtri(0.75)
-    errors = [observation.uncertain.get(name, 0.0) for name in ("intensity_sd", "exposure_sd")]
-    widest = np.maximum(max(np.log(BRIGHTER), 6 * spread), 4 * np.hypot(*errors))
+    errors = (observation.uncertain.get(name, 0.0) for name in ("intensity_sd", "exposure_sd"))
+    error = np.sqrt(sum((np.asarray(own) ** 2 for own in errors), np.zeros(())))
+    widest = np.maximum(max(np.log(BRIGHTER), 6 * spread), 4 * error)
     odd = np.flatnonzero(known & (np.abs(ratio) > widest))
     return [(int(i), float(np.exp(ratio[i]))) for i in odd]
 
