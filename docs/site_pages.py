@@ -185,8 +185,8 @@ class Entry(PyXRefRole):
 
 
 def find_entry(app, env, node, content):
-    """Find the entry for another name of the same object: the name under which another package
-    exports it, or the name without the package.
+    """Find the entry of an object that is named in another way: as another package exports it, or
+    without the package.
     """
     if node.get("refdomain") != "py":
         return None

@@ -335,7 +335,7 @@ class _Pixels:
 def _refuse_mosaic(
     row: np.ndarray, column: np.ndarray, missed: np.ndarray, value: np.ndarray
 ) -> None:
-    """Refuse a flat side whose numbers depend on the site of a 2 x 2 mosaic."""
+    """Refuse an edge if the pixels of a uniform side differ by their site in a 2 x 2 mosaic."""
     site = 2 * (row % 2) + column % 2
     count = np.bincount(site, minlength=4)
     if count.min() < _LEAST:  # one band of a mosaic

@@ -245,8 +245,8 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
     """Return the exposure in seconds that a name states, as in flat_8ms, and a sentence on a
-    doubtful reading. In scene_1-8s the time is an eighth of a second, unless the numbers count
-    images (`counted`).
+    doubtful reading. In scene_1-8s the time is 1/8 s or, if first numbers count images
+    (`counted`), 8 s.
     """
     stem = Path(name).stem
     fraction = _FRACTION.search(stem)

@@ -356,7 +356,7 @@ def _likelihood_estimates(
 
 
 def _range_of_linearity(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> Array:
-    """Return the mask of the fit's levels that enter the standard's linearity error."""
+    """Return a mask of the fit's levels: True for levels in the linearity error of EMVA 1288."""
     linearity = np.zeros(fit.data.lit.size, bool)
     linearity[: len(usable)] = np.asarray(within.linearity)[usable]
     return jnp.asarray(linearity)

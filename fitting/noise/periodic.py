@@ -104,10 +104,10 @@ def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
     """Return two rows of 8 numbers. The first six numbers of each row are means over the quarters
-    of the frame (top left, top right, bottom left, bottom right) and over its inner and outer half:
-    in the first row of the average frame, in the second row of the temporal variance. The last two
-    numbers are for the vertical and horizontal middle lines: in the first row the steps of the
-    average frame at these lines, in the second row the p-values of the steps.
+    of the frame (top left, top right, bottom left, bottom right) and over its inner and outer half.
+    The first row contains means of the average frame, the second row means of the temporal
+    variance. The last two numbers are for the vertical and horizontal middle lines: in the first
+    row the steps of the average frame at these lines, in the second row their p-values.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:

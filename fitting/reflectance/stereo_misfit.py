@@ -339,8 +339,8 @@ def _radius(
     sizes: Float[np.ndarray, "levels ratios pixels"],
 ) -> OfPixels:
     """Return the variance of a two-dimensional Gaussian with the same 95 % circle as a mixture.
-    Newton's method solves for the logarithm of the probability outside, which is a convex
-    decreasing function."""
+    The logarithm of the probability outside a circle is a convex, decreasing function of its
+    squared radius, so Newton's method finds the squared radius."""
     sizes, gaussian = np.maximum(sizes, 1e-300), -2 * np.log(1 - INSIDE)
     found = gaussian * sizes.min(axis=(0, 1))
     for _ in range(NEWTON):

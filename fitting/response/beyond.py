@@ -1,15 +1,17 @@
 """Extrapolation of a response curve to codes below and above the observed ones.
 
-A smoothness prior alone would continue the curve with the exponent of the last observed codes, and
-the stated error would be too small. The responses of real cameras have only a few shapes (empirical
-model of response, Grossberg & Nayar, IEEE TPAMI 26, 2004). This module describes six kinds of shape
-by formulas. In these formulas, u is the code above black over full scale, X is the exposure, and g,
-a, n, c and k are constants of a curve:
+With a smoothness prior alone, the curve would continue beyond the observed codes with the exponent
+d ln X / d ln u that it has at the last ones, and the stated error would be too small. The responses
+of real cameras have only a few shapes (empirical model of response, Grossberg & Nayar, IEEE TPAMI
+26, 2004). This module describes six kinds of shape by formulas. In these formulas, u is the code
+above black over full scale, X is the exposure, and g, a, n, c and k are constants of a curve:
 
-    gamma        X = u^g toe          linear up to where its slope meets ((u + a) / (1 + a))^g:
-    sRGB, Rec. 709 log          X = expm1(u ln(1 + a)) / a saturating   u = X^n (1 + c) / (X^n + c),
-    n <= 1 film         the formula of `saturating` with n > 1: an S-shaped curve tone         u =
-    (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
+    gamma        X = u^g
+    toe          linear up to where its slope meets ((u + a) / (1 + a))^g: sRGB, Rec. 709
+    log          X = expm1(u ln(1 + a)) / a
+    saturating   u = X^n (1 + c) / (X^n + c), n <= 1
+    film         the formula of `saturating` with n > 1: an S-shaped curve
+    tone         u = (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
 
 For each of these kinds, ln X is modelled as a Gaussian with the mean and the covariance of the
 curves of that kind. A seventh Gaussian has the mean and the covariance of all curves. No camera

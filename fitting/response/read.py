@@ -146,8 +146,8 @@ def read_exposure_stack(
     Raises:
         InputError: for a group without two different exposure times, or whose images get darker
             with longer exposure; for images of different size; for values that are not integers; if
-            metadata show that half of the images were taken with other settings; if half of the
-            exposures moved; and for a mask of another size or an empty mask.
+            metadata show that half of the images were taken with other settings; if the camera
+            moved in half of the images; and for a mask of another size or an empty mask.
     """
     rig = as_rig(rig)
     require(rig, "a response calibration")

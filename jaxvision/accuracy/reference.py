@@ -222,8 +222,8 @@ def _bias_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """Return the rate at which a bias decreases, from the ratio of two steps of the same sign; 0 if
-    the bias does not decrease."""
+    """Return the rate k of a bias exp(-k x) over the variable x of a law, from the `ratio` of two
+    successive changes of the result, which have the same sign; 0 if the bias does not decrease."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)

@@ -108,8 +108,8 @@ def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
 
 def albedo(material: Any, wo: Direction) -> Colour:
     """Compute the directional albedo, (bands,), no unit. For a material with a sampler, the
-    midpoint rule on the unit squares of the lobe and of the cosine distribution resolves narrow
-    lobes. Other materials use the default product quadrature."""
+    integral is a midpoint rule over the uniform numbers from which directions are drawn, which
+    resolves narrow lobes. Other materials use the default product quadrature."""
     shading = family(material).shading
     sampler, wo = material.sampler, as_vec(wo)
     if sampler is None:

@@ -37,7 +37,7 @@ def refuse_tracers(*records: Any) -> None:
 
 def unbounded(scene: Scene, camera: Camera) -> str:
     """Return the name of a number that makes every bound infinite: a number of the scene that is
-    not finite, or a NaN of the camera. Return "" if there is no such number."""
+    not finite, or a NaN of the camera. Return "" if no number does."""
     for record, wrong in ((scene, lambda x: ~np.isfinite(x)), (camera, np.isnan)):
         if any(np.any(wrong(leaf)) for leaf in jax.tree.leaves(record)):
             every = _names(record, "")

@@ -2,7 +2,7 @@
 scene, the lens (optics), motion, the sensor or the development. The function of each stage returns
 a `Row` for each of its effects.
 
-The function of a stage also returns the bounds on light that the function of the next stage needs.
+Each function also returns bounds on light, which the function of the next stage needs.
 All numbers are NumPy float64, computed outside `jit`.
 
     scene_stage(scene, view)                -> rows, Arriving     radiance.py
@@ -38,7 +38,7 @@ FAST = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passe
 
 @dataclass(frozen=True)
 class Draft:
-    """The scene and camera while effects are dropped, with the original indices."""
+    """The scene and camera during pruning. Lights and surfaces keep their original indices."""
 
     surfaces: tuple[Surface, ...]  # all surfaces, including those in `unmet`
     lights: tuple[Light | None, ...]  # each light, or None where it was dropped

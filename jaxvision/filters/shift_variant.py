@@ -213,9 +213,10 @@ def radial_blur(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         scale: (h, w) in pixels, the second argument of the profile.
-        profile: weight as a function of the distance () in pixels and the scale (h, w).
-        radius: of the kernel in pixels, at least 0; the kernel is 0 beyond. A larger radius is more
-        accurate and slower.
+        profile: function of the distance, () in pixels, and of the scale, (h, w) in pixels; it
+            returns the weight, (h, w).
+        radius: radius of the kernel in pixels, at least 0; beyond it the kernel is 0. A larger
+            radius is more accurate and slower.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:

@@ -241,7 +241,8 @@ def layer_to_srgb(layer: Layer) -> Layer:
         layer: (..., 4) premultiplied relative light and coverage.
 
     Returns:
-        (..., 4) straight sRGB and coverage, relative; black where nothing is covered.
+        (..., 4) in [0, 1]: sRGB, not multiplied by the coverage, and the coverage. The sRGB is
+        black where the coverage is 0.
 
     Raises:
         ValueError: for an alpha outside [0, 1].

@@ -12,8 +12,9 @@ The highlight dominates the cosine objective. The cube root weights bright and d
 the eye does (Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012).
 The constant d, a thousandth of the RMS of x, keeps the slope of c finite at 0.
 
-For the cosine objective, x is linear in the amplitudes, and variable projection finds the global
-minimum. For the cube root, variable projection is repeated with a linearisation about the last
+Under the cosine objective, the best amplitudes for a given shape follow from linear least squares,
+so only the shape is searched (variable projection). For the cube root, variable projection is
+repeated with a linearisation about the last
 prediction (Gauss-Newton). The shape is limited to a window about its last value. The window shrinks
 if a step does not lower the true objective. Searches begin at the optimum of the cosine objective
 and at the optimum of Lambert's model, which every model contains. If an incidence is left out, a

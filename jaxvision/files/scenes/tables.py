@@ -412,7 +412,8 @@ def surface_of(
     *,
     mapped: Callable[[Any], bool],
 ) -> tuple[Shape, dict[str, Any]]:
-    """Return the shape of the table `[[surface]]` at `where`, and the values of its other keys.
+    """Return the `Shape` that the table `[[surface]]` at `where` describes, and the values of its
+    keys that do not belong to the shape.
     Texture coordinates of a mesh are read if its material is `mapped` or if the surface has a
     normal map. Raise `InputError` if the table is invalid."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
