@@ -87,41 +87,41 @@ def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
 
 class Spread(eqx.Module):
     """A map from u in [0, 1] to an interval of a line that begins at `start` and has the length
-    `length`: x = scale sinh(p + u span), relative to the foot of a perpendicular. An interval whose
-    middle lies at x < 0 is mapped as its mirror image. `start`, `length` and `scale` are () in m;
-    `base` is exp(p)."""
+    `length`: x = scale sinh(p + u span), relative to the foot of a perpendicular. `start`, `length`
+    and `scale` are () in m; `base` is exp(p)."""
 
     start: Scalar
     length: Scalar
     scale: Scalar
     base: Scalar
     span: Scalar
-    mirrored: Array
 
 
 def _map_interval(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
-    """Return the map to an interval. In units of `scale` its ends, or those of its mirror image,
-    are a and b, b >= |a|. With A = exp(asinh(a)) = a + sqrt(1 + a^2) and B likewise, the span is
-    log(B / A). All sums are of numbers of one sign, also for a short distant interval."""
-    first, step = start / scale, length / scale
-    last = first + step
-    mirrored = first + last < 0
-    a, b = jnp.where(mirrored, -last, first), jnp.where(mirrored, -first, last)
+    """Return the map to an interval whose ends, in units of `scale`, are a and b. With A =
+    exp(asinh(a)) = a + sqrt(1 + a^2) and B likewise, the span is log(B / A). All sums are of
+    numbers of one sign, also for a short distant interval."""
+    a, step = start / scale, length / scale
+    b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
-    larger = across_a + jnp.where(a < 0, -a, a)
-    base = jnp.where(a < 0, 1 / larger, larger)
-    rise = step * (1 + (a + b) / (across_a + across_b))  # B - A
-    return Spread(start, length, scale, base, log1p(rise / base), mirrored)
+    base, last = _exp_asinh(a, across_a), _exp_asinh(b, across_b)
+    lean = (a + b) / (across_a + across_b)
+    growth = jnp.where(lean < 0, step * (1 - lean) * last, step * (1 + lean) / base)  # B / A - 1
+    return Spread(start, length, scale, base, log1p(growth))
+
+
+def _exp_asinh(x: Scalar, across: Scalar) -> Scalar:
+    """Return exp(asinh(x)), where `across` is sqrt(1 + x^2); no unit."""
+    return jnp.where(x < 0, divide(1, across - x, where=x < 1), across + x)
 
 
 def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
     """Return the fraction of the interval at `u`, and its derivative with respect to u."""
-    grown = jnp.expm1(jnp.where(spread.mirrored, 1 - u, u) * spread.span)
+    grown = jnp.expm1(u * spread.span)
     there = spread.base * (1 + grown)  # exp(p + u span)
     factor = spread.scale / (2 * spread.length)
     fraction = factor * grown * (spread.base + 1 / there)
-    slope = factor * spread.span * (there + 1 / there)
-    return jnp.where(spread.mirrored, 1 - fraction, fraction), slope
+    return fraction, factor * spread.span * (there + 1 / there)
 
 
 def _density(spread: Spread, fraction: Scalar) -> Scalar:

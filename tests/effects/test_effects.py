@@ -16,7 +16,7 @@ from oracles.random_scenes import random_scene
 import jaxvision as jv
 from fitting.inference.records import replaced
 from jaxvision import effects
-from jaxvision.effects.bounces import bounce_rows
+from jaxvision.effects.bounces import Onward, bounce_rows
 from jaxvision.effects.cells import eye_of
 from jaxvision.effects.radiance import scene_stage
 from jaxvision.effects.spectra import band_rows, with_bands
@@ -75,10 +75,10 @@ def alone(seed):
     """Each droppable row of a random scene: name, bound and what the picture changes by."""
     scene, view = random_scene(seed)
     full, ends = drawn(scene, view), (Ends(scene, scene), Ends(view, view))
-    rows, _, sums = scene_stage(*ends)
+    rows, _, onward = scene_stage(*ends)
     camera, found = jv.Camera(view, jv.Sensor()), []
     draft = Draft(scene.surfaces, scene.lights, frozenset(), scene.ambient, camera)
-    for row in [*rows, *band_rows(sums, direct=True)]:
+    for row in [*rows, *band_rows(onward.sums, direct=True)]:
         if row.drop is None or not row.effect.present:
             continue
         left, expand = only(scene, draft, row), None
@@ -476,7 +476,7 @@ def test_paths_are_cut_where_light_no_longer_matters():
     scene = jv.Scene(plates, jv.PointLight([0, 0, 2], [1.0]))
     eye = eye_of(Ends(VIEW, VIEW))
     sums = sums_of(Ends(scene, scene), eye, bounces=True)
-    bounds = [row.effect.bound for row in bounce_rows(sums, 8)]
+    bounds = [row.effect.bound for row in bounce_rows(Onward(sums, 8))]
     assert len(bounds) == 6
     shrinking = np.array(bounds[1:]) / np.array(bounds[:-1])
     assert np.all(shrinking <= 0.05 * 2 / 16 * 16)
