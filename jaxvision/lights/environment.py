@@ -77,8 +77,8 @@ def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
     """Draw a unit direction in proportion to the radiance of the map, by `u`, (2,) uniform in [0,
-    1), for row and column. Return the direction, and the radiance divided by the density of the
-    direction, (bands,) W m^-2."""
+    1), for row and column. Return the direction, the radiance divided by the density of the
+    direction, (bands,) W m^-2, and the density, sr^-1."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -90,7 +90,8 @@ def environment_sample(
     drawn = density > 0
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     weight = divide(1, density, where=drawn)
-    return Incident(_to_world(environment, direction, point), radiance * weight)
+    wi = _to_world(environment, direction, point)
+    return Incident(wi, radiance * weight, density=density)
 
 
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:

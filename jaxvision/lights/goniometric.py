@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, numbers
 from ..core._kinds import Photometry
-from ..core._numerics import arctan2, divide, dot, norm, normalize, safe_sqrt
+from ..core._numerics import arctan2, divide, dot, norm, normalize, reciprocal, safe_sqrt
 from ..core._quadrature import gauss_legendre
 from ..core._shown import Shown
 from ..core._types import (
@@ -342,7 +342,7 @@ def _sample(light: GoniometricAreaLight, point: Vector, u: Float[Array, "2"]) ->
     share, cosine = _relative_intensity(light, -direction)
     per_area = divide(solid_angle * share, _area(light) * cosine, where=solid_angle > 0)
     wi = direction if not isinstance(point, Array) else as_array(direction)
-    return Incident(wi, light.intensity * per_area, distance)
+    return Incident(wi, light.intensity * per_area, distance, reciprocal(solid_angle))
 
 
 def _pdf(light: GoniometricAreaLight, point: Vector, wi: Direction) -> Scalar:

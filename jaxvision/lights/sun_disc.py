@@ -82,12 +82,13 @@ def _radiance_along(light: SunDisc, ray: Ray) -> Seen:
 
 def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
     """Map `u`, (2,) in [0, 1], to a unit direction, uniformly over the disc. Return the direction,
-    and the radiance times the disc's solid angle, (bands,) W m^-2."""
+    the radiance times the disc's solid angle, (bands,) W m^-2, and the density, sr^-1."""
     height = _height(light)
     local = direction_at(height * u[0], 2 * jnp.pi * u[1])
     direction = to_world(local_frame(normalize(light.direction)), local)
     wi = as_array(direction) if isinstance(point, Array) else as_vec(direction)
-    return Incident(wi, _radiance(light) * (2 * jnp.pi * height))
+    solid_angle = 2 * jnp.pi * height
+    return Incident(wi, _radiance(light) * solid_angle, density=1 / solid_angle)
 
 
 def sun_pdf(light: SunDisc, point: Vector, wi: Direction) -> Scalar:

@@ -121,6 +121,7 @@ def test_an_opening_is_a_point_from_afar_and_its_light_near_by():
     seen = lights.radiance_from(lamp, near, wi.direction)
     density = lights.direction_pdf(lamp, near, wi.direction)
     np.testing.assert_allclose(seen / density, wi.irradiance, rtol=1e-6)
+    assert float(wi.density) == pytest.approx(float(density), rel=1e-6)
     u = jnp.asarray(np.random.default_rng(2).random((40_000, 4)))
     rays = jax.vmap(lambda u: lights.emitted(lamp, u, around=None).flux)(u)
     flux = float(lights.flux(point)[0])

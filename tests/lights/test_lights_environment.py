@@ -105,6 +105,7 @@ def test_samples_follow_their_density(kind):
 
     drawn, density, arriving = jax.jit(jax.vmap(weigh))(u)
     np.testing.assert_allclose(arriving / density[:, None], drawn.irradiance, rtol=1e-7)
+    np.testing.assert_array_equal(drawn.density, density)
     cells = np.cos(np.pi * np.arange(h) / h) - np.cos(np.pi * np.arange(1, h + 1) / h)
     expected = np.asarray(sky.density) * cells[:, None] * 2 * np.pi / w
     np.testing.assert_allclose(expected.sum(), 1, rtol=1e-12)

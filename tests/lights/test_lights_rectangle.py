@@ -182,6 +182,7 @@ def test_density_is_that_of_the_samples(height):
 
     drawn, density, arriving = jax.jit(jax.vmap(weigh))(u)
     np.testing.assert_allclose(arriving / density[:, None], drawn.irradiance, rtol=1e-9)
+    np.testing.assert_allclose(drawn.density, density, rtol=1e-9)
     # the integral of wi over the light, which has a closed form too
     arriving = jax.jit(lambda p: incident_samples(LAMP, p, jv.Quadrature(32)))(point)
     vector = [(exact(LAMP, point, n) - exact(LAMP, point, -n))[0] for n in np.eye(3)]

@@ -105,6 +105,7 @@ def test_the_sun_is_a_disc():
     inside = lights.direction_sample(sun, jnp.zeros(3), jnp.array([0.9, 0.3]))
     density = lights.direction_pdf(sun, jnp.zeros(3), inside.direction)
     np.testing.assert_allclose(seen / density, inside.irradiance, rtol=1e-9)
+    assert float(inside.density) == pytest.approx(float(density), rel=1e-12)
     screen = jv.Quad([-5, -5, 1], [5.0, 0, 0], [0, 10, 0])  # its edge over x = 0
     floor = jv.Surface(jv.Quad([-1, -2, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([1 / np.pi]))
     scene = jv.Scene([floor, jv.Surface(screen, jv.Lambert([0.0]), two_sided=True)], [sun])
