@@ -29,9 +29,9 @@ Because shot noise is skewed, mean and variance have the covariance kappa_3 / (n
 kappa_4 are the cumulants of a pixel's number. Two random effects per level are optional: an error
 of the light with standard deviation tau_H mu_p, and an error of the black level with standard
 deviation tau_0. A drift d of the light over the series is optional, too: the light of level i of n
-changes by the factor 1 + d (i / (n - 1) - 1/2), with the times in the files in place of i where
-they have any. A drift bends the means over the light as a
-compression does, but does not change the variance at a given signal.
+changes by the factor 1 + d (i / (n - 1) - 1/2). If the files state times, the times replace i. A
+drift bends the means over the light as a compression does, but does not change the variance at a
+given signal.
 
 The data of the `Problem` have a row for each level: mean, temporal variance, T, and (for darks) the
 spatial variance, NaN where unknown. `predict` returns their sampling distribution as `Expected`,

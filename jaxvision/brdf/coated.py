@@ -235,9 +235,9 @@ def _at(cosine: Scalar, azimuth: Scalar) -> Vec:
 
 def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     """Return a_i a_o / (pi (R - S)), the body's light after at least one return by the interface,
-    (bands,) sr^-1, for two directions outside the coat; 0 if a coat absorbs all of it. For an
-    isotropic body the share a depends on the cosine alone: it is computed at nodes, whatever the
-    number of directions, and interpolated."""
+    (bands,) sr^-1, for two directions outside the coat. If the coat absorbs all light, return 0.
+    The share a of an isotropic body depends on the cosine alone. It is computed at a few nodes for
+    all directions together, and interpolated."""
     if isinstance(material.body, Lambert):
         kept = _returned_uniform(material, 12)[1].sum(axis=0)
         whole = jnp.pi * material.body.diffuse

@@ -34,9 +34,8 @@ def oversampling_row(
     """Return the `Row` for replacing all samples of a pixel aperture by a single sample at the
     pixel's centre. No sample is farther from the centre than the corners of the pixel. Between the
     centre and a sample, the cos^4 falloff changes by at most 1.04 times the change of the tangent
-    of the ray's angle to the axis. `opening`
-    is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts of the view that spread light over
-    several pixels must have been dropped before."""
+    of the ray's angle to the axis. `opening` is the largest gain, in W m^-2 per W m^-2 sr^-1. Parts
+    of the view that spread light over several pixels must have been dropped before."""
     reach = _HALF_DIAGONAL * (1 - 1 / oversampling)
     amount = np.zeros_like(radiance)
     if not isinstance(view.high, Orthographic) and view.high.f_number is not None:

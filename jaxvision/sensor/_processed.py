@@ -26,10 +26,10 @@ Plane = Float[np.ndarray, "h w"]
 
 def middle(frames: ArrayLike) -> Plane:
     """Return the middle of the first band of the first frame."""
-    plane = np.asarray(frames, float)
+    plane = np.asarray(frames)
     plane = plane.reshape(-1, *plane.shape[-3:])[0, ..., 0]
     starts = [max(size - SIDE, 0) // 2 // 2 * 2 for size in plane.shape]
-    return plane[starts[0] : starts[0] + SIDE, starts[1] : starts[1] + SIDE]
+    return plane[starts[0] : starts[0] + SIDE, starts[1] : starts[1] + SIDE].astype(float)
 
 
 def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:

@@ -188,7 +188,8 @@ mattes, and SciPy for fits.
 
 - **How it was measured.** Calls of jaxvision and of the peer alternate in one process,
   and times are medians. Compilation is not included, except in the rows about new
-  processes. All programs compute in float32, and the benchmarks also compare the results.
+  processes, whose Python sources are compiled to bytecode before, as pip does. All
+  programs compute in float32, and the benchmarks also compare the results.
   Both programs keep freed memory for reuse (`jaxvision.keep_memory`).
 - **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
   ratios, not the milliseconds, which depend on the machine. Rows with "equal error"

@@ -26,7 +26,6 @@ def towards(theta, phi=0.0):
 
 
 VIEWS = towards(np.arccos(COSINES))
-PAIRS = (0.0, 1.5), (0.9, 1.2), (0.02, 1.55)  # polar angles, rad
 
 
 @distributions
@@ -86,23 +85,37 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
     [jv.OrenNayar([0.3], 0.5), MULTIPLE([1.0], 0.4), jv.Phong([0.1], [0.3], 50.0)],
     ids=lambda body: type(body).__name__,
 )
-def test_interpolated_shares_are_those_of_the_quadrature(body):
-    """a_i a_o of three pairs over that of a fourth, in which the common factor cancels."""
-    coat, normal = jv.Coated(body, GLASS, 0.1), brdf.coated.as_vec(towards(0.4))
-    pairs = [[brdf.coated.as_vec(towards(angle)) for angle in two] for two in PAIRS]
+def test_light_that_returns_to_the_body_by_a_dense_quadrature(body):
+    """a_i a_o / (pi (R - S)) under a smooth interface, with Fresnel's formulas and 64 x 180 nodes;
+    what the library interpolates."""
+    eta = 1.5
+    t, dt = np.polynomial.legendre.leggauss(32)
+    t, dt = (t + 1) / 2, dt / 2
+    beyond = np.sqrt(eta**2 - 1) / eta  # the cosine at the critical angle
+    cosines = np.concatenate([beyond * t, np.sqrt(eta**2 - 1 + t * t) / eta])
+    weights = np.concatenate([2 * beyond**2 * t * dt, 2 * t * dt / eta**2 * fresnel(t, eta)])
+    phi = (np.arange(180) + 0.5) * 2 * np.pi / 180
+    to = brdf.coated.as_vec(towards(np.arccos(cosines)[:, None], phi))
 
     @jax.jit
-    def ratios(coat):
-        share = [
-            brdf.coated._returned(coat, brdf.coated._refracted_inside(coat, w))[0]
-            for w in (normal, *(w for pair in pairs for w in pair))
-        ]
-        of_pairs = jnp.stack([i * o for i, o in zip(share[1::2], share[2::2], strict=True)])
-        found = jnp.stack([brdf.coated._further(coat, *pair)[0] for pair in pairs])
-        return of_pairs / share[0] ** 2, found / brdf.coated._further(coat, normal, normal)[0]
+    def share_toward(back):
+        every = jax.vmap(jax.vmap(lambda w: brdf.evaluate(body, w, back)[0]))(to)
+        return jnp.pi * weights @ every.mean(axis=1)
 
-    true, found = ratios(coat)
-    np.testing.assert_allclose(found, true, rtol=3e-3)
+    def share(angle):
+        """The integral of f_b r cos over the hemisphere inside."""
+        return share_toward(brdf.coated.as_vec(towards(angle)))
+
+    outside = np.array([0.1, 0.9, 1.4])
+    inside = np.arcsin(np.sin(outside) / eta)
+    lost = weights @ jnp.stack([share(angle) for angle in np.arccos(cosines)])
+    first, *others = (float(share(angle)) for angle in inside)
+    coat = jv.Coated(body, GLASS, 0.0)
+    light = [brdf.coated.as_vec(towards(angle)) for angle in outside]
+    for own, w in zip(others, light[1:], strict=True):
+        true = first * own / (np.pi * (weights.sum() - lost))
+        found = brdf.coated._further(coat, light[0], w)[0]
+        assert float(found) == pytest.approx(float(true), rel=1e-3)
 
 
 @pytest.mark.slow

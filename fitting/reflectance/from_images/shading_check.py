@@ -102,11 +102,10 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 
 def without_strangers(observation: Photographs) -> Photographs:
-    """Leave out images that are dark or saturated throughout, copies of other images, and dead or
-    hot pixels. If most
-    images agree with the stated lights, also leave out images whose shading contradicts the stated
-    direction or intensity. A finding reports each omitted image. If more than half of the
-    images, or all but a few, would be left out, no image is left out.
+    """Leave out images that are dark or saturated throughout, copies of other images, and dead
+    or hot pixels. If most images agree with the stated lights, also leave out images whose shading
+    contradicts the stated direction or intensity. A finding reports each omitted image. If more
+    than half of the images, or all but a few, would be left out, no image is left out.
     """
     observation = _without_dead_pixels(observation)
     reasons = {
