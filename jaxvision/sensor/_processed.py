@@ -9,7 +9,7 @@ two apart are compared, because they have the same colour in a mosaic.
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-SIDE = 512  # pixels of a frame's middle that are looked at, along each side
+SIDE = 256  # pixels of a frame's middle that are looked at, along each side
 BLOCK = 8  # pixels of a side
 FEWEST_BLOCKS = 20
 FEWEST_PAIRS = 64  # of a block, along both axes
@@ -37,9 +37,11 @@ def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
     whole blocks."""
     reach = 2 * (len(weights) - 1)
     rows, columns = ((size - reach) // BLOCK * BLOCK for size in plane.shape)
-    down = [plane[2 * i : 2 * i + rows, :columns] for i in range(len(weights))]
-    across = [plane[:rows, 2 * i : 2 * i + columns] for i in range(len(weights))]
-    return [np.tensordot(weights, np.stack(some), 1) for some in (down, across)]
+    down, across = np.zeros((2, rows, columns))
+    for i, weight in enumerate(weights):
+        down += weight * plane[2 * i : 2 * i + rows, :columns]
+        across += weight * plane[:rows, 2 * i : 2 * i + columns]
+    return [down, across]
 
 
 def _sums(values: Plane) -> np.ndarray:

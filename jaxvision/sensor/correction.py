@@ -58,6 +58,7 @@ from .read_out import read_out_variance
 from .sampling import light_share
 
 FAR = 4.0  # a pixel may be full, dead or dark if it is within so many standard deviations of noise
+SAMPLE = 2**18  # pixels of a frame that are compared with black
 MOST_BELOW, FEWEST_BELOW = 0.01, 10  # share and number of pixels far below black: defects are fewer
 DEAD = 0.1  # a pixel whose flat is within the noise is dead below this relative sensitivity
 
@@ -423,24 +424,24 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
     converter, are below black, or lack its noise or the pattern of the masters."""
     if not all(map(is_known, jax.tree.leaves((sensor, found, raw, masters)))):
         return
-    unlit = jnp.zeros(raw.shape[-3:], raw.dtype)
-    of_dark = signal_variance(sensor, unlit)
-    if masters.dark is None:
-        black = amplified(sensor, mean_dark(sensor, unlit) + unlit)
-        spread = jnp.sqrt(of_dark + pattern_variance(sensor, unlit))
-    else:
-        black, spread = masters.dark.mean, jnp.sqrt(of_dark)
-    mean, expected, smallest, largest = map(
-        float, (jnp.nanmean(raw), jnp.mean(black), jnp.nanmin(raw), jnp.nanmax(raw))
-    )
-    below = int(jnp.sum(raw < _broadcast(black - FAR * spread, raw)))
+    black, of_dark, pattern = _dark_signal(sensor, raw)
+    spread = jnp.sqrt(of_dark if masters.dark is not None else of_dark + pattern)
+    black = black if masters.dark is None else masters.dark.mean
+    numbers = np.asarray(raw)
+    every = max(raw.size // SAMPLE, 1) | 1  # rows of both kinds of a mosaic
+    some, least = (one[..., ::every, :, :] for one in (numbers, np.asarray(black - FAR * spread)))
+    if not np.isfinite(some).any():
+        return
+    smallest, largest = (float(one.reduce(numbers, axis=None)) for one in (np.fmin, np.fmax))
+    mean, expected = float(np.nanmean(some, dtype=float)), float(np.mean(black))
+    below = int(np.sum(some < least))
     if (
-        mean < expected - FAR * float(jnp.mean(spread))
-        or below > max(MOST_BELOW * raw.size, FEWEST_BELOW)
+        mean < expected - FAR * float(np.mean(spread))
+        or below > max(MOST_BELOW * some.size, FEWEST_BELOW)
         or (sensor.bits is not None and smallest < 0)
     ):
         _warn(
-            f"raw has a mean of {mean:.4g} DN and {below} of {raw.size} numbers below the "
+            f"raw has a mean of {mean:.4g} DN and {below} of {some.size} numbers below the "
             f"{expected:.4g} DN without light, by more than noise; give the numbers as the camera "
             "wrote them, neither divided by their largest number, nor of fewer bits, nor without "
             "the black level or a dark frame; and the exposure time in seconds."
@@ -460,11 +461,14 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
                 "raw has numbers that are not whole, as means of frames or corrected frames have; "
                 "the stated errors are those of a single raw frame."
             )
-    dark = _processed.middle(of_dark + unlit)
+    dark = _processed.middle(jnp.broadcast_to(of_dark, raw.shape[-3:]))
     own = [part for part in found.parts if not part.lasts and part.along == "pixels"]
     if own and top > 1:
-        variance = sum(map(_variance, own), jnp.zeros_like(found.image))
-        light, noise = _processed.middle(found.image), _processed.middle(variance)
+        light = _processed.middle(found.image)
+        noise = np.zeros_like(light)
+        for part in own:
+            near = replace(part, amplitude=_processed.middle(part.amplitude)[..., None])
+            noise += np.asarray(_variance(near))[..., 0]
         share = _processed.noise_ratio(light, noise, codes)
         if share < _processed.LESS_NOISE:
             _warn(
@@ -502,18 +506,36 @@ def _patterns(
         yield "flat", np.log(image) + pattern, pattern, np.square(error / image), np.sqrt(image)
 
 
+def _dark_signal(sensor: Sensor, raw: Counts) -> tuple[Counts, Counts, Counts]:
+    """Return mean, temporal variance and pattern variance of a dark frame, DN and DN^2. Where all
+    pixels have the same, the frame is a single pixel, (1, 1, bands)."""
+    height, width, bands = raw.shape[-3:]
+    colours = sensor.colour_filter
+    if colours is not None:
+        bands = colours.transmission.shape[1]
+    of_place = (sensor.taps, colours, sensor.smear, sensor.charge_transfer)
+    if all(one is None for one in of_place):
+        height = width = 1
+    light = jnp.zeros((height, width, bands), raw.dtype)
+    black = amplified(sensor, mean_dark(sensor, raw) + light[..., : raw.shape[-1]])
+    return black, signal_variance(sensor, light), pattern_variance(sensor, light)
+
+
 def _warn_of_dark(sensor: Sensor, dark: Master) -> None:
     """Warn if a dark master differs from the camera's dark signal by more than twice the noise."""
-    held = mean_dark(sensor, dark.mean) + jnp.zeros_like(dark.mean)
+    if not all(map(is_known, jax.tree.leaves((sensor, dark.mean)))):
+        return
+    black, variance, _ = _dark_signal(sensor, dark.mean)
     beside = _light_offset(sensor, dark.mean)  # may be absent in a dark frame with a covered lens
-    found, expected = jnp.median(dark.mean), jnp.median(amplified(sensor, held))
-    most = expected if beside is None else jnp.median(amplified(sensor, held + beside))
-    noise = jnp.sqrt(jnp.median(signal_variance(sensor, jnp.zeros_like(dark.mean))))
-    known = is_known(found) and is_known(expected) and is_known(most)
-    if known and (found < expected - 2 * noise or found > most + 2 * noise):
+    more = jnp.zeros((), black.dtype) if beside is None else jnp.max(beside)
+    gain = total_gain(sensor, shape=black.shape, dtype=black.dtype)
+    found = float(np.median(_processed.middle(dark.mean)))
+    expected, noise = (float(jnp.median(one)) for one in (black, jnp.sqrt(variance)))
+    most = expected + float(jnp.max(_times(more, gain)))
+    if found < expected - 2 * noise or found > most + 2 * noise:
         warnings.warn(
-            f"masters.dark has a median of {float(found):.4g} DN, where the camera states "
-            f"{float(expected):.4g} DN for its exposure time and temperature; the result is wrong "
+            f"masters.dark has a median of {found:.4g} DN, where the camera states "
+            f"{expected:.4g} DN for its exposure time and temperature; the result is wrong "
             "by the difference if the master's exposure time or temperature are not the frames'.",
             stacklevel=4,
         )

@@ -440,6 +440,20 @@ def test_numbers_of_another_scale_are_warned_of(scale):
     js.correct(raw, sensor)
 
 
+def test_raw_numbers_of_a_colour_mosaic_are_corrected_without_a_warning():
+    """Also with a light offset, whose share differs between the sites."""
+    colours = jv.ColourFilter(jnp.diag(jnp.array([0.6, 1.0, 0.4])), pattern=((0, 1), (1, 2)))
+    noise = {"shot_noise": jv.PoissonShotNoise(), "read_noise": 5.0}
+    sensor = jv.Sensor(gain=0.4, offset=64.0, bits=12, colour_filter=colours, **noise)
+    for camera in (sensor, replace(sensor, light_offset=50.0)):
+        field = jnp.full((64, 64, 3), 3000.0)
+        raw = jv.raw_image(jax.random.key(1), camera, field)
+        green = np.asarray(js.correct(raw, camera).image)[::2, 1::2]
+        assert abs(green.mean() - 3000) < 5 * np.sqrt(3000 / green.size)
+        with pytest.warns(UserWarning, match="without light"):
+            js.correct(raw / 64, camera)
+
+
 def processed_frames():
     """Of a camera: frames of a smooth scene, and masters of 64 frames, by naive NumPy."""
     rng, shape = np.random.default_rng(0), (96, 96)
