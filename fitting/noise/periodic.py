@@ -286,36 +286,52 @@ def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
     """Find halves or quarters of the frame with different gains or with a step between their black
-    levels, and a centre whose gain differs from that of the border. Uneven light cannot cause such
-    differences."""
+    levels or their signals, and a centre whose gain differs from that of the border. Smoothly
+    uneven light cannot cause such differences."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
     lit, unlit = np.asarray(bright.quarters)[usable], np.asarray(dark.quarters)
-    black, rare = np.median(unlit[:, 0, :4], axis=0), np.median(unlit[:, 1, 6:], axis=0)
-    step = np.abs(np.median(unlit[:, 0, 6:], axis=0))
+    black = np.median(unlit[:, 0, :4], axis=0)
     of_dark = float(np.sqrt(np.median(np.asarray(dark.variance))))
-    stepped = [
-        part
-        for part, p, size in zip(HALVES, rare, step, strict=True)
-        if p < FALSE_ALARM_PROBABILITY and size > NEGLIGIBLE_NOISE_SHARE * of_dark
-    ]
+    signal = np.asarray(bright.mean)[usable] - np.asarray(dark.mean)[matched]
+    top = int(np.argmax(signal))
+    of_top = float(np.sqrt(np.asarray(bright.variance)[usable][top]) / signal[top])
+    share = np.median((lit[:, 0, 6:] - unlit[matched][:, 0, 6:]) / signal[:, None], axis=0)
+    stepped = _steps_that_matter(np.median(unlit[:, 0, 6:], axis=0), unlit, of_dark)
+    unlike = _steps_that_matter(share, lit, of_top)
     gains, unequal = _gains_of_parts(measurement, usable, lit[..., :6], unlit[:, :, :6][matched])
     found = [Periodic(CENTRE, 0, gains=tuple(gains[4:]))] if CENTRE in unequal else []
-    parts = {*unequal, *stepped} - {CENTRE}
+    parts = {*unequal, *stepped, *unlike} - {CENTRE}
     if not parts:
         return found
     where = parts.pop() if parts < {*HALVES} else QUARTERS
     own = PARTS_OF[where]
     of_gains = where in unequal or (where == QUARTERS and unequal)
+    across, down = (s * (part in unlike) / 2 for s, part in zip(share, HALVES, strict=True))
+    signals = np.outer([1 - down, 1 + down], [1 - across, 1 + across]).ravel()
     return [
         Periodic(
             where,
             0,
             gains=tuple(float(gains[one].mean()) for one in own) if of_gains else (),
             offsets=tuple(float(black[one].mean()) for one in own) if stepped else (),
+            signals=tuple(float(signals[one].mean()) for one in own) if unlike else (),
         ),
         *found,
+    ]
+
+
+def _steps_that_matter(
+    step: Float[np.ndarray, "2"], of_levels: Float[np.ndarray, "levels 2 8"], noise: float
+) -> list[str]:
+    """Return the names of the halves between which the frames have a significant step that is not
+    negligible beside the noise of a pixel, in the same unit."""
+    rare = np.median(of_levels[:, 1, 6:], axis=0)
+    return [
+        part
+        for part, p, size in zip(HALVES, rare, np.abs(step), strict=True)
+        if p < FALSE_ALARM_PROBABILITY and size > NEGLIGIBLE_NOISE_SHARE * noise
     ]
 
 
@@ -372,10 +388,15 @@ def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
 
 
 def periodic_in_words(
-    found: tuple[Periodic, ...], gain: float, *, apart: bool = False, spacing: int = 1
+    found: tuple[Periodic, ...],
+    gain: float,
+    *,
+    apart: bool = False,
+    spacing: int = 1,
+    fitted: bool = True,
 ) -> list[str]:
     """Return one or two sentences for each periodic structure. `spacing` is the distance in the
-    frame between neighbouring pixels of these data."""
+    frame between neighbouring pixels of these data; `fitted` is false where no gain is reported."""
     sentences = []
     for one in found:
         who = WHOLES.get(one.where, f"The {one.where} halves")
@@ -396,7 +417,7 @@ def periodic_in_words(
         cause, remedy = "several amplifiers", f"give camera.taps = {taps}"
         if one.where == CENTRE:
             cause, remedy = "a correction of lens shading in the camera", "give frames without it"
-        elif one.signals and not one.gains and not one.offsets and spacing == 1:
+        elif one.period and one.signals and not one.gains and not one.offsets and spacing == 1:
             cause = {"rows": "interlaced rows, or a mosaic", "mosaic": "a colour mosaic"}.get(
                 one.where, "several amplifiers, or a mosaic"
             )
@@ -408,7 +429,7 @@ def periodic_in_words(
         sentences.append(
             f"{differ}; {remedy}{'' if one.where == CENTRE else ' to calibrate each separately'}."
         )
-        if one.gains:
+        if one.gains and fitted:
             sentences.append(
                 "K is between their gains and is not the gain of any pixel. Its error, and those "
                 "of figures that depend on it, include the deviation of the gains, "

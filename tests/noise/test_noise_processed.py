@@ -39,8 +39,9 @@ def series(
     prnu=PRNU,
     dsnu=DSNU,
     shading=1.0,
+    count=4,
 ):
-    """Flats and darks of 4 frames; `process` takes a function that takes the next frame."""
+    """Flats and darks of `count` frames; `process` takes a function that takes the next frame."""
     rng = np.random.default_rng(seed)
     gains, offsets = (
         1 + prnu * rng.normal(size=(size, size)),
@@ -53,7 +54,7 @@ def series(
             charge = charge + offsets + READ * rng.normal(size=gains.shape)
             return np.clip(np.round(gain * charge + BLACK), 0, 4095)
 
-        return [process(frame) for _ in range(4)]
+        return [process(frame) for _ in range(count)]
 
     flats = [level(*at) for at in zip(light * PHOTONS, SECONDS, strict=True)]
     return flats, [level(0.0, seconds) for seconds in SECONDS]
@@ -237,6 +238,29 @@ def test_unequal_columns_of_later_frames_are_named():
     frames = ([[one + 3 * odd for one in x] for x in y] for y in series(1))
     told = " ".join(findings(predicted(*frames)))
     assert re.search(r"Even and odd columns differ in black level by (2\.9|3\.0)\d* DN", told)
+
+
+@pytest.mark.parametrize("where", ["left and right", "top and bottom"])
+def test_halves_of_unequal_gain_are_named(where):
+    """A step of the signal shows them where variances alone do not."""
+    gains = np.where(np.arange(64) < 32, GAIN, 1.03 * GAIN)
+    gains = gains if where == "left and right" else gains[:, None]
+    told = " ".join(findings(predicted(*series(3, gain=gains, count=2))))
+    (size,) = re.findall(rf"The {where} halves differ in signal by (\S+) %", told)
+    assert float(size) == pytest.approx(3, abs=0.3)
+    assert "a mean over all of these pixels" in told
+
+
+def test_light_that_falls_to_the_corners_makes_no_halves():
+    """By 70 %, centred or not, also with a lamp whose light falls to one side."""
+    rows, columns = np.mgrid[-1:1:64j, -1:1:64j]
+    for shading in (
+        1 - 0.35 * (rows**2 + columns**2),
+        1 - 0.35 * ((rows - 0.2) ** 2 + (columns + 0.1) ** 2),
+        (1 + 0.3 * columns) * (1 - 0.2 * rows**2),
+    ):
+        told = findings(predicted(*series(4, shading=shading)))
+        assert not any("halves" in one or "quarters" in one for one in told)
 
 
 def test_inverted_numbers_are_named():

@@ -38,6 +38,7 @@ LEAST = 3  # levels, beyond the number of a curve's terms, that half of the leve
 NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
 OFFSETS, GAINS = ("dsnu", "row_dsnu", "column_dsnu"), ("prnu", "conversion_prnu", "column_prnu")
 CORRECTED = {"offsets": "after a dark frame was subtracted", "gains": "after a division by a flat"}
+OF_ALL_PIXELS = "An effect that is named below is a mean over all of these pixels, not of any one."
 OTHER_CAUSES = {"offsets": " or a warmer one", "gains": ", or the light is not smooth"}
 LEAST_OFFSETS, LEAST_GAINS = 0.5, 0.005  # of the dark noise, and relative, that are named
 LEAST_PATTERN = 0.7  # of the stated rms of a fixed pattern, below which frames were corrected
@@ -292,7 +293,8 @@ def _structure_in_words(
     if measurement.site is not None:
         return []
     gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
-    return periodic_in_words(periodic_structure(measurement, usable), gain)
+    sentences = periodic_in_words(periodic_structure(measurement, usable), gain, fitted=False)
+    return [*sentences, *(OF_ALL_PIXELS,) * bool(sentences)]
 
 
 def _rms_of(camera: Sensor, names: tuple[str, ...]) -> float:
