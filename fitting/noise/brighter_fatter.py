@@ -21,7 +21,7 @@ from jaxvision.sensor import area_changes, flat_covariances
 
 from .levels import PhotonTransfer
 from .live_pixels import LARGEST_LAG
-from .model import compressed, expected_electrons
+from .model import electrons_and_steps
 from .neighbours import COPIES, PERIOD, Lags, above_dark, area_shape
 from .statement import LikelihoodFit
 
@@ -57,25 +57,14 @@ def fitted_area_changes(
         return None
     found, variances, _ = above
     bright = slice(0, len(usable))
-    mu, step = electrons_and_steps(fit)
-    scale = step[bright, None, None] ** 2
+    mu, step = electrons_and_steps(fit.values, fit.data)
+    scale = np.asarray(step)[bright, None, None] ** 2
     own, own_error = own_area_change(fit)
     mixing = "pixel_mixing" in fit.values
     args = mu[bright], jnp.asarray(found[usable] / scale), jnp.asarray(variances[usable] / scale**2)
     values, errors = (np.array(x) for x in _fitted(jnp.asarray(own), *args, mixing=mixing))
     errors[0, 0] = own_error
     return AreaChanges(values, errors)
-
-
-def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
-    """Return the expected number mu of electrons at each level, and the DN per additional electron
-    at that level."""
-    values, data = fit.values, fit.data
-    mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
-        data.light, data.lit, data.exposure
-    )
-    slope = jax.vmap(jax.grad(lambda x: compressed(values, x, data.top_signal)))
-    return mu, np.asarray(values["system_gain"] * slope(values["system_gain"] * mu))
 
 
 @eqx.filter_jit

@@ -157,12 +157,10 @@ def drifted(values: dict[str, Array], data: NoiseData) -> NoiseData:
     return replace(data, light=data.light * (1 + values["light_drift"] * data.series))
 
 
-def level_moments(
-    values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
-) -> Moments:
-    """Return the moments at ONE level, without clipping at the ends of the scale."""
+def level_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
+    """Return the moments of each level, without clipping at the ends of the scale."""
     gain, read = values["system_gain"], values["read_noise"]
-    electrons = expected_electrons(values, data, light, lit, exposure)
+    electrons = expected_electrons(values, data, light, data.lit, data.exposure)
     x = gain * electrons
     h, slope = jax.jvp(lambda s: compressed(values, s, data.top_signal), (x,), (jnp.ones_like(x),))
     step = slope * gain
@@ -176,23 +174,18 @@ def level_moments(
     )
 
 
-def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Array, " levels"]:
-    """Return T of each level, the sum of a pixel's covariances with all other pixels, DN^2."""
-
-    def at(light: Array, lit: Array, exposure: Array) -> Array:
-        mu = expected_electrons(values, data, light, lit, exposure)
-        x = values["system_gain"] * mu
-        slope = jax.grad(lambda s: compressed(values, s, data.top_signal))(x)
-        own = own_variance(values, data.neighbours, mu, data.top_signal)
-        return (slope * values["system_gain"]) ** 2 * (mu - own)
-
-    return jax.vmap(at)(data.light, data.lit, data.exposure)
+def electrons_and_steps(values: dict[str, Array], data: NoiseData) -> tuple[Array, Array]:
+    """Return mu, the expected electrons of each level, and the DN per additional electron there."""
+    mu = expected_electrons(values, data, data.light, data.lit, data.exposure)
+    x = values["system_gain"] * mu
+    _, slope = jax.jvp(lambda s: compressed(values, s, data.top_signal), (x,), (jnp.ones_like(x),))
+    return mu, values["system_gain"] * slope
 
 
 def expected_electrons(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Array:
-    """Return mu, the expected electrons of a pixel, at ONE level."""
+    """Return mu, the expected electrons of a pixel, at each level."""
     responsivity = values[RESPONSIVITY.name if data.photons_known else SIGNAL_RATE.name]
     if "light_offset" in values:
         light = light + lit * values["light_offset"]
@@ -203,19 +196,15 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """Return the moments at all levels. The function should be called in a compiled program:
-    outside one, JAX caches every `vmap` of a new function, which takes 3 kB each.
-    """
-    moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
-        light, data.lit, data.exposure
-    )
+    """Return the moments at all levels. Call it in a compiled program: outside one, JAX caches
+    every `vmap` of a new function, which takes 3 kB each."""
+    moments = level_moments(values, data, light)
     window = data.window
     if window is None:
         return moments
     index = window.levels
-    electrons = jax.vmap(lambda p, lit, t: expected_electrons(values, data, p, lit, t))(
-        light[index], data.lit[index], data.exposure[index]
-    )
+    at = light[index], data.lit[index], data.exposure[index]
+    electrons = expected_electrons(values, data, *at)
     step, lowest = data.converter.step, data.converter.lowest
     gain, black = values["system_gain"] / step, (values["black_level"] - lowest) / step
     spread = values["offset_spread"] / step if "offset_spread" in values else None
@@ -285,7 +274,8 @@ def predict(values: dict[str, Array], inputs: NoiseData) -> Expected:
         spread = spread + (values["variance_scatter"] * model.variance) ** 2
     around, neighbours, of_neighbours = data.neighbours, None, None
     if around is not None and around.spread is not None:
-        neighbours = expected_neighbours(values, data)
+        mu, step = electrons_and_steps(values, data)
+        neighbours = step**2 * (mu - own_variance(values, around, mu, data.top_signal))
         of_neighbours = around.spread * (model.variance + neighbours) ** 2
     counted = data.counted
     return Expected(
@@ -419,8 +409,8 @@ def _log_density_of_tables(
     histograms of codes. The light of a held-out level is treated as unknown, so that only gain and
     read noise are compared."""
     at = counted.levels
-    light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]
-    electrons = jax.vmap(lambda *of: expected_electrons(values, data, *of))(light, lit, exposure)
+    light = data.light[at]
+    electrons = expected_electrons(values, data, light, data.lit[at], data.exposure[at])
     found = jnp.stack([values["system_gain"], values["read_noise"]])
     missed = counted.logs - jnp.log(jnp.concatenate([found, electrons]))
     of_light = jnp.zeros_like(light)

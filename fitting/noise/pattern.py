@@ -119,13 +119,27 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     n, rest = float(levels.pixels), (temporal - common) / frames
     pattern = measured - rest
 
-    def of(pattern: np.ndarray, rest: np.ndarray, count: float) -> np.ndarray:
-        return (4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)) / count
-
-    by_noise = of(pattern, rest, n)
+    by_noise = _by_noise(pattern, rest, frames) / n
     for fixed, varying, count in _lines(levels):
-        by_noise = by_noise + of(fixed, np.maximum(varying, 0) / frames, count)
+        by_noise = by_noise + _by_noise(fixed, np.maximum(varying, 0) / frames, frames) / count
     return pattern, by_noise
+
+
+def _by_noise(pattern: np.ndarray, rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return the sampling variance, DN^4, of the square of one deviation with the variance
+    `pattern` if temporal noise of the variance `rest` remains in the average of the frames."""
+    return 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
+
+
+def local_variances(levels: Levels) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the variance between neighbouring pixels that is the same in all frames, DN^2, and its
+    sampling variance by temporal noise, DN^4, of each level; None where it is unknown."""
+    if levels.local_pattern is None:
+        return None
+    own, frames = np.asarray(levels.local_pattern), np.asarray(levels.frames)
+    # Differences of neighbours have 1.5 times the sampling variance of single pixels.
+    by_noise = 1.5 * _by_noise(own, np.asarray(levels.variance) / frames, frames)
+    return own, by_noise / float(levels.pixels)
 
 
 def local_pattern(
@@ -137,20 +151,13 @@ def local_pattern(
     usable = usable[signal[usable] > 0]
     matched = np.asarray(measurement.dark_of)[usable]
 
-    def of(levels: Levels) -> np.ndarray:
-        assert levels.local_pattern is not None
-        own, frames = np.asarray(levels.local_pattern), np.asarray(levels.frames)
-        rest = np.asarray(levels.variance) / frames
-        # Differences of neighbours have 1.5 times the sampling variance of single pixels.
-        by_noise = 4 * np.maximum(own, 0) * rest + 2 * rest**2 * frames / (frames - 1)
-        return np.stack([own, 1.5 * by_noise / float(levels.pixels)])
-
     def spread(values: np.ndarray, variances: np.ndarray) -> Spread:
         weights = 1 / np.maximum(variances, 1e-300)
         mean = float(np.average(values, weights=weights)) if values.size else 0.0
         return Spread(mean, float(weights.sum() ** -0.5) if values.size else np.inf, ())
 
-    lit, unlit = of(measurement.bright)[:, usable], of(measurement.dark)
+    lit = np.stack(local_variances(measurement.bright))[:, usable]
+    unlit = np.stack(local_variances(measurement.dark))
     square = signal[usable] ** 2
     gains = (lit[0] - unlit[0, matched]) / square, (lit[1] + unlit[1, matched]) / square**2
     return spread(*unlit), spread(*gains)

@@ -17,6 +17,7 @@ from scipy.fft import dctn
 from ..frame_checks.frame import listed
 from .levels import PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels, line_products
+from .pattern import local_variances
 
 BLOCK = 8  # pixels of a side
 SIGNIFICANCE_SIGMAS = 6.0  # standard errors
@@ -184,7 +185,8 @@ def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
 
 def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     bright, dark = measurement.bright, measurement.dark
-    if bright.local_pattern is None or dark.local_pattern is None:
+    lit, unlit = local_variances(bright), local_variances(dark)
+    if lit is None or unlit is None:
         return []
     # The more frames are averaged, the less of their shared noise remains.
     counts = np.asarray(bright.frames)[usable]
@@ -192,18 +194,10 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     if len(usable) < FEWEST_FOR_PATTERN:
         return []
     signal = np.concatenate([signal_of(measurement)[usable], np.zeros(dark.mean.size)])
-    pattern, variance, frames = (
-        np.concatenate([np.asarray(one)[usable], np.asarray(other)])
-        for one, other in (
-            (bright.local_pattern, dark.local_pattern),
-            (bright.variance, dark.variance),
-            (bright.frames, dark.frames),
-        )
+    pattern, square = (
+        np.concatenate([one[usable], other]) for one, other in zip(lit, unlit, strict=True)
     )
-    rest, top = variance / frames, float(signal.max())
-    # Differences of neighbours have 1.5 times the sampling variance of single pixels.
-    errors = 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
-    errors = np.sqrt(1.5 * errors / float(bright.pixels))
+    errors, top = np.sqrt(square), float(signal.max())
     known = errors > 0
     if known.sum() < FEWEST_FOR_PATTERN or top <= 0:
         return []

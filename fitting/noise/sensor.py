@@ -19,10 +19,10 @@ from ..codes import Converter
 from ..inference.compiled import compiled_briefly
 from ..inference.parameters import names, to_natural
 from ..inference.precision import double_precision
-from .brighter_fatter import electrons_and_steps, fitted_effect, fitted_kernel, fitted_mixing
+from .brighter_fatter import fitted_effect, fitted_kernel, fitted_mixing
 from .calibration import NoiseCalibration
 from .levels import reached, shot_of
-from .model import compressed
+from .model import compressed, electrons_and_steps
 from .neighbours import shares
 from .pattern import SIGNIFICANCE_SIGMAS
 from .shared import drift, temporal_lines
@@ -55,7 +55,8 @@ def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
     gain, top = values["system_gain"], float(chosen.data.top_signal)
     above = np.asarray(bright.mean) - values["black_level"]
     light = np.asarray(bright.light)
-    electrons = np.asarray(electrons_and_steps(chosen)[0])[: len(calibration.usable)]
+    electrons = np.asarray(electrons_and_steps(chosen.values, chosen.data)[0])
+    electrons = electrons[: len(calibration.usable)]
     per_light = electrons[-1] / light[calibration.usable[-1]]
     found = []
     for level in range(int(calibration.usable[-1]) + 1, len(light)):

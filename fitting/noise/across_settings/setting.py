@@ -17,6 +17,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -29,7 +30,7 @@ from ...rig import Rig, load_rig
 from ..calibration import NoiseCalibration, finest_read_noise
 from ..levels import Levels, PhotonTransfer
 from ..read import reduce_darks, reduce_rig
-from ..regressions import inflation
+from ..regressions import inflation, sampling_errors
 from ..sensor import mode_without
 from ..settings import Setting, by_setting
 from ..shared import shared_noise
@@ -106,22 +107,16 @@ def estimates_from_calibration(
 def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
     """Return the estimates from darks alone. Raises InputError for fewer than three different
     exposures."""
-    exposure, mean, variance, frames = (
-        np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance, darks.frames)
-    )
+    exposure, mean, variance = (np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance))
     if len(np.unique(exposure)) < FEWEST_EXPOSURES:
         raise InputError(
             f"The darks of {setting.label} have no flats and fewer than {FEWEST_EXPOSURES} "
             "different exposures, which determine nothing; add flats, or other exposures."
         )
-    pixels = float(darks.pixels)
-    of_mean, of_variance = variance / pixels, 2 * variance**2 / pixels
-    shared = shared_noise(darks)
-    if shared is not None:
-        of_mean = of_mean + float(shared.of_mean)
-        of_variance = of_variance + float(shared.of_variance)
-    (rate, _), means = _line(exposure, mean, of_mean / frames)
-    (slope, intercept), variances = _line(exposure, variance, of_variance / (frames - 1))
+    nothing = jnp.zeros_like(darks.mean)
+    errors = sampling_errors(darks, nothing, nothing, shared=shared_noise(darks))
+    (rate, _), means = _line(exposure, mean, np.asarray(errors.mean))
+    (slope, intercept), variances = _line(exposure, variance, np.asarray(errors.variance))
     covariance = np.zeros((3, 3))
     covariance[0, 0] = means[0, 0]
     covariance[1:, 1:] = variances[::-1, ::-1]

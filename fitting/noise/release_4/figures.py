@@ -8,6 +8,7 @@ import numpy as np
 
 from ...report.colours import BLUE, GREEN, GREY, ORANGE, RED
 from ...report.section import Picture
+from ..levels import signal_of
 from .defects import histogram
 from .lines import spectrogram
 from .nonuniformity import Split, can_filter, high_pass
@@ -90,9 +91,9 @@ def spatial_variances_figure(sheet: Release4) -> "Figure":
     from matplotlib.figure import Figure
 
     stacks = sheet.stacks
-    bright, dark = stacks.measurement.bright, stacks.measurement.dark
+    bright = stacks.measurement.bright
     matched = np.asarray(stacks.measurement.dark_of)
-    signal = np.asarray(bright.mean) - np.asarray(dark.mean)[matched]
+    signal = signal_of(stacks.measurement)
     shown = signal > 0
     if sheet.within.saturation is not None:
         shown &= np.asarray(bright.light) <= float(sheet.within.saturation)

@@ -23,7 +23,7 @@ from scipy.special import ndtri
 
 from .. import emva1288
 from ..emva1288 import LINEARITY_RANGE, SENSITIVITY_TOP, Ranges
-from ..levels import PhotonTransfer
+from ..levels import PhotonTransfer, signal_of
 
 SHARES = np.array([0.001, 0.0015, 0.002])
 FEWEST = 10  # numbers at the end, and below, for an interpolation
@@ -54,7 +54,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
     if not beyond.size or beyond[0] < 2:
         return within, False
     above = int(beyond[0])
-    bright, dark = measurement.bright, measurement.dark
+    bright = measurement.bright
     lights, mean = np.asarray(bright.light), np.asarray(bright.mean)
     pair = slice(above - 1, above + 1)
     count = float(bright.pixels) * np.asarray(bright.frames)[pair]
@@ -65,7 +65,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
         end = measurement.full_scale - measurement.converter.step / 2
         light, error = _gaussian_saturation(lights, mean, numbers.spread, end, above)
     place = (light - lights[above - 1]) / max(lights[above] - lights[above - 1], 1e-300)
-    signal = mean - np.asarray(dark.mean)[np.asarray(measurement.dark_of)]
+    signal = signal_of(measurement)
     top = signal[above - 1] + place * (signal[above] - signal[above - 1])
     below = np.arange(len(signal)) < above
     least, most = LINEARITY_RANGE

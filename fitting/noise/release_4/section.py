@@ -12,6 +12,7 @@ from ...inference.formatting import format_number, format_percent
 from ...report.section import Section, Table
 from ..calibration import BY_NAME, sheet_estimate
 from ..emva1288 import is_floored
+from ..levels import signal_of
 from ..quantities import HEADINGS, QUANTITIES, Quantity
 from ..regressions import sampling_errors
 from ..section import FROM_DARK_NOISE, floor_in_words, why_missing
@@ -237,7 +238,7 @@ def _noise_of_linearity(sheet: Release4) -> str:
     )
     own = np.asarray(measurement.dark_of)
     within = np.asarray(sheet.within.linearity)
-    signal = (np.asarray(bright.mean) - np.asarray(dark.mean)[own])[within]
+    signal = signal_of(measurement)[within]
     errors = np.sqrt(of_bright + of_dark[own])[within] / signal
     alone = 100 * np.sqrt(2 / np.pi) * float(errors.mean())
     found = float(sheet.linear.values[LINEARITY.name])
