@@ -98,17 +98,12 @@ def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple
     """
     if len(mean) < 3 or np.ptp(mean) == 0:
         return np.nan, np.inf
-    columns, expected = (
-        np.stack([np.ones_like(mean), mean], axis=1),
-        np.full(len(mean), variance.mean()),
-    )
-    coefficients, covariance = np.zeros(2), np.eye(2)
+    expected, line, covariance = np.full(len(mean), variance.mean()), np.zeros(2), np.eye(2)
     for _ in range(ROUNDS):
-        weight = freedom / (2 * expected**2)
-        covariance = np.linalg.inv((columns.T * weight) @ columns)
-        coefficients = covariance @ (columns.T @ (weight * variance))
-        expected = np.maximum(columns @ coefficients, 0.05 * variance.mean())
-    return float(coefficients[1]), float(np.sqrt(covariance[1, 1]))
+        weights = np.sqrt(freedom / 2) / expected
+        line, covariance = np.polyfit(mean, variance, 1, w=weights, cov="unscaled")
+        expected = np.maximum(np.polyval(line, mean), 0.05 * variance.mean())
+    return float(line[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:

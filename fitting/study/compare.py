@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.stats import chi2, norm, t
+from scipy.stats import chi2, linregress, norm
 
 FEWEST = 5  # cameras, for a median and a scatter
 CHANCE = 0.05  # probability that any camera is called an outlier although none is
@@ -94,9 +94,9 @@ def drifts(found: xr.Dataset) -> tuple[Drift, ...]:
     result = []
     every = list(_quantities(found))
     for word, place in axes.items():
-        for quantity, channel, unit, cameras, x, errors in every:
+        for quantity, channel, unit, cameras, x, _ in every:
             at = place[np.isin(found["camera"].values, cameras)]
-            line = _line(at, x, errors, DRIFT / len(every))
+            line = _line(at, x, DRIFT / len(every))
             if line is not None:
                 result.append(Drift(quantity, channel, f"{unit} / {word}", *line))
     return tuple(result)
@@ -145,9 +145,7 @@ def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " camera
     return np.abs(away) > norm.isf(CHANCE / (2 * len(x))) * spread
 
 
-def _line(
-    at: np.ndarray, x: np.ndarray, errors: np.ndarray, chance: float
-) -> tuple[float, float] | None:
+def _line(at: np.ndarray, x: np.ndarray, chance: float) -> tuple[float, float] | None:
     """Return the slope of a line and its standard error from the scatter about the line; None if
     the slope is not significant.
     """
@@ -155,9 +153,5 @@ def _line(
     at, x = at[there], x[there]
     if len(x) < FEWEST or np.ptp(at) == 0:
         return None
-    middle = at - np.mean(at)
-    slope = float(np.sum(middle * x) / np.sum(middle**2))
-    left = x - np.mean(x) - slope * middle
-    error = float(np.sqrt(np.sum(left**2) / (len(x) - 2) / np.sum(middle**2)))
-    sure = abs(slope) > t.isf(chance / 2, len(x) - 2) * error
-    return (slope, error) if sure else None
+    line = linregress(at, x)
+    return (float(line.slope), float(line.stderr)) if line.pvalue < chance else None

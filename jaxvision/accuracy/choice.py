@@ -114,7 +114,7 @@ def choose(
     if seconds is None:
         enough = [trial for trial in found if trial.error_high <= limit]
         if not enough:
-            raise InputError(_refuse_unreached(curve, found, floor, limit))
+            raise InputError(_refuse_unreached(found, floor, limit))
         fastest = min(enough, key=lambda trial: trial.seconds)
         as_fast = [t for t in enough if t.measured and t.seconds <= fastest.seconds_high]
         return min(as_fast or [fastest], key=lambda trial: (trial.error_high, trial.seconds))
@@ -130,9 +130,7 @@ def choose(
     return min(quick, key=lambda trial: trial.error_high)
 
 
-def _refuse_unreached(
-    curve: Curve | Sequence[Trial], found: Sequence[Trial], floor: float, tolerance: float
-) -> str:
+def _refuse_unreached(found: Sequence[Trial], floor: float, tolerance: float) -> str:
     known = [trial for trial in found if np.isfinite(trial.error_high)]
     if not known:
         return f"No setting reaches {tolerance:g}: no error is known."

@@ -222,7 +222,6 @@ class _Search:
 
     def separable(
         self,
-        kept: np.ndarray,
         values: np.ndarray,
         weights: np.ndarray,
         window: tuple[float, float] = (-np.inf, np.inf),
@@ -252,7 +251,7 @@ class _Search:
         measured = self.measured
         weights = (kept * measured.weights * measured.cosine**2)[:, None]
         weights = np.broadcast_to(weights, measured.values.shape)
-        of_squares = self.at(kept, *self.separable(kept, measured.values, weights))
+        of_squares = self.at(kept, *self.separable(measured.values, weights))
         if self.objective == "cosine":
             return of_squares
         ends = [self.descent(kept, of_squares)]
@@ -275,9 +274,7 @@ class _Search:
             slope = cosine / (3 * root**2)
             goal, pull = best.predicted + (self.wanted - root) / slope, weights * slope**2
             here = 0.0 if best.shape is None else float(np.log(best.shape))
-            diffuse, specular, shape = self.separable(
-                kept, goal, pull, (here - reach, here + reach)
-            )
+            diffuse, specular, shape = self.separable(goal, pull, (here - reach, here + reach))
             away = 0.0 if shape is None else float(np.log(shape)) - here
             tried = (
                 self.at(

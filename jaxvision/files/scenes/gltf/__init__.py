@@ -53,7 +53,7 @@ def scene_of(file: Path) -> dict[str, Any]:
         if name not in _EXTENSIONS:
             raise InputError(f"needs {name}, which is not read; export the scene without it.")
     lights, cameras, surfaces, materials = [], [], [], {}
-    for label, node, to_world in placed_nodes(file, content):
+    for label, node, to_world in placed_nodes(content):
         here = node.extensions.KHR_lights_punctual
         if here is not None:
             known = content.extensions.KHR_lights_punctual.lights
@@ -189,7 +189,7 @@ def _surfaces(
     return made
 
 
-def placed_nodes(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
+def placed_nodes(content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
     """Yield the nodes of the file's scene, parents first: the name, the node, and the matrix, (4,
     4), that maps its points, as columns, to the world. Raise `InputError` for a missing node, or
     for a node with two parents."""
