@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.sphere_photographs import expose, shade, sphere_normals
 
 from fitting import joint, reflectance
 from fitting.checks.reflectance import GAIN, RADIUS, SIZE, WHITE, Sphere, directions, photographs
@@ -39,13 +40,7 @@ def test_a_camera_that_clips_below_full_scale_is_noticed(seed):
 
 def encoded_ball(curve, seed=0):
     """A glossy ball in 8 bits behind a tone curve, sampled at pixel centres."""
-    place = (np.arange(SIZE) - (SIZE - 1) / 2) / RADIUS
-    x, y = np.meshgrid(place, -place)
-    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
-    normals, wi = np.stack([x, y, z], axis=-1) * (z > 0)[..., None], directions(12)
-    cosine = np.einsum("hwc,lc->lhw", normals, wi)
-    mirrored = np.maximum(2 * cosine * normals[..., 2] - wi[:, None, None, 2], 0)
-    light = np.where(cosine > 0, 0.4 * cosine + 0.45 * mirrored**40, 0)
+    light = shade(sphere_normals(SIZE, RADIUS), directions(12), "phong", 0.4, 0.45, 40)
     noise = 0.003 * np.sqrt(light + 0.01)
     light = light + noise * np.random.default_rng(seed).standard_normal(light.shape)
     return np.clip(np.round(255 * curve(np.maximum(light, 0))), 0, 255)
@@ -165,16 +160,9 @@ def test_a_right_black_level_stays_as_stated():
 @pytest.mark.slow
 def test_a_highlight_between_the_samples_has_no_exponent():
     """A polished ball, 1e4 for the exponent, sampled at pixel centres: one pixel is bright."""
-    place = (np.arange(SIZE) - (SIZE - 1) / 2) / RADIUS
-    x, y = np.meshgrid(place, -place)
-    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
-    normals, wi = np.stack([x, y, z], axis=-1) * (z > 0)[..., None], directions(10)
-    cosine = np.einsum("hwc,lc->lhw", normals, wi)
-    mirrored = np.maximum(2 * cosine * normals[..., 2] - wi[:, None, None, 2], 0)
-    signal = WHITE * np.where(cosine > 0, 0.4 * cosine + 3 * mirrored**1e4, 0)
-    rng = np.random.default_rng(0)
-    electrons = rng.poisson(signal / GAIN) + 6 * rng.standard_normal(signal.shape)
-    images = np.clip(np.round(60 + GAIN * electrons), 0, 4095)
+    shaded = shade(sphere_normals(SIZE, RADIUS), directions(10), "phong", 0.4, 3.0, 1e4)
+    exposed = {"gain": GAIN, "read_noise": 6.0, "black": 60.0, "clip": 4095.0}
+    images = expose(np.random.default_rng(0), WHITE * shaded, **exposed)
     found = reflectance.calibrate(of(images, lights=10, gain=GAIN, read_noise=6.0), model="phong")
     estimates = found.section.estimates
     assert all(find(estimates, name).value is None for name in ("specular", "exponent"))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.sphere_photographs import shade_areas
 
 from fitting import folders, joint
 from fitting.inference.posterior import estimates
@@ -26,17 +27,9 @@ CAMERAS = {
 def photographs(tap):
     """A Phong ball by NumPy; even and odd columns, or halves, of another gain and black level."""
     rng = np.random.default_rng(1)
-    at = ((np.arange(4 * SIDE) + 0.5) / 4 - SIDE / 2) / (SIDE / 2 - 1)  # a pixel has 4 x 4 points
-    x, y = np.meshgrid(at, -at)
-    on = x**2 + y**2 < 1
-    normal = np.stack([x, y, np.sqrt(np.where(on, 1 - x**2 - y**2, 0))], axis=-1)
     images = []
-    for light in LIGHTS:
-        cosine = normal @ light
-        lobe = np.maximum(2 * cosine * normal[..., 2] - light[2], 0) ** 25
-        points = 4000 * on * np.where(cosine > 0, 0.3 * cosine + 0.4 * lobe, 0)
-        electrons = points.reshape(SIDE, 4, SIDE, 4).mean(axis=(1, 3))
-        noisy = rng.poisson(electrons) + READ * rng.standard_normal(electrons.shape)
+    for shaded in shade_areas(SIDE, SIDE / 2 - 1, LIGHTS, "phong", *TRUTH.values()):
+        noisy = rng.poisson(4000 * shaded) + READ * rng.standard_normal(shaded.shape)
         images.append(np.clip(np.round(GAIN[tap] * noisy + BLACK[tap]), 0, 4095).astype(np.uint16))
     return images
 

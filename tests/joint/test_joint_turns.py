@@ -3,6 +3,7 @@ them."""
 
 import numpy as np
 import pytest
+from oracles.sphere_photographs import expose, light_directions, shade
 
 from fitting.joint import calibrate, from_photographs
 from fitting.joint.fit import likeliest_turns
@@ -15,13 +16,6 @@ SD = np.radians(1.0)
 CAMERA = Camera(
     bits=12, black_level=60.0, black_sd=0.5, gain=GAIN, gain_sd=0.01, read_noise=READ, prnu_sd=0.0
 )
-
-
-def towards(rng, count):
-    """Unit vectors within 60 degrees of the view."""
-    z, azimuth = rng.uniform(0.5, 1, count), rng.uniform(0, 2 * np.pi, count)
-    radius = np.sqrt(1 - z**2)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
 
 def off(lights, rng):
@@ -38,17 +32,12 @@ def photographed(lights, rng):
     row, column = np.meshgrid(at, at, indexing="ij")
     x, y = column / RADIUS, -row / RADIUS
     inside = x**2 + y**2 < 1
-    normal = (
-        np.stack([x, y, np.sqrt(np.where(inside, 1 - x**2 - y**2, 0))], axis=-1) * inside[..., None]
-    )
-    cosine = np.einsum("hwc,lc->lhw", normal, lights)
-    mirrored = 2 * cosine * normal[..., 2] - lights[:, None, None, 2]
-    lobe = np.maximum(mirrored, 0) ** TRUTH["exponent"]
-    signal = np.where(cosine > 0, TRUTH["diffuse"] * cosine + TRUTH["specular"] * lobe, 0)
+    normal = np.stack([x, y, np.sqrt(np.where(inside, 1 - x**2 - y**2, np.nan))], axis=-1)
+    surface = (TRUTH[name] for name in ("diffuse", "specular", "exponent"))
+    signal = shade(normal, lights, "phong", *surface)
     signal = signal.reshape(-1, SIZE, 4, SIZE, 4)
     signal = np.einsum("liajb,a,b->lij", signal, shares / 2, shares / 2)
-    electrons = rng.poisson(LIGHT * signal / GAIN) + READ * rng.standard_normal(signal.shape)
-    return np.clip(np.round(60 + GAIN * electrons), 0, 4095)
+    return expose(rng, LIGHT * signal, gain=GAIN, read_noise=READ, black=60, clip=4095)
 
 
 @pytest.mark.slow
@@ -57,7 +46,7 @@ def photographed(lights, rng):
 def test_lights_off_by_a_degree_are_turned_and_leave_no_bias(seed):
     """Left where the rig put them, k_s and exponent were 6 standard errors off."""
     rng = np.random.default_rng(seed)
-    lights = towards(rng, 12)
+    lights = light_directions(12, seed=rng)
     actual = off(lights, rng)
     middle = (SIZE - 1) / 2
     measurement = from_photographs(

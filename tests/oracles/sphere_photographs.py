@@ -77,6 +77,12 @@ def _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape):
     return shaded
 
 
+def shade_areas(size, radius, directions, *surface, parts=4):
+    """(lights, size, size): means of `shade` over parts x parts points within each pixel."""
+    shaded = shade(sphere_normals(parts * size, parts * radius), directions, *surface)
+    return shaded.reshape(-1, size, parts, size, parts).mean(axis=(2, 4))
+
+
 def expose(rng, signal, *, gain, read_noise, black, clip):
     """Digital numbers of a linear signal (DN): Poisson electrons, read noise, rounding, clips."""
     electrons = rng.poisson(signal / gain) + read_noise * rng.standard_normal(signal.shape)

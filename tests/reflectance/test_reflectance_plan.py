@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.sphere_photographs import expose, shade, sphere_normals
 
 from fitting.inference.parameters import names
 from fitting.reflectance import Camera, SphereGeometry, from_photographs
@@ -22,18 +23,9 @@ LIGHTS = np.stack(
 def photographs():
     """A Phong ball, k_d = .3, k_s = .4, n = 25, by NumPy, under eight lights with sensor noise."""
     rng = np.random.default_rng(5)
-    at = (np.arange(SIDE) - (SIDE - 1) / 2) / (SIDE / 2 - 1)
-    x, y = np.meshgrid(at, -at)
-    on = x**2 + y**2 < 1
-    normal = np.stack([x, y, np.sqrt(np.where(on, 1 - x**2 - y**2, 0))], axis=-1)
-    images = []
-    for light in LIGHTS:
-        cosine = normal @ light
-        mirrored = 2 * cosine * normal[..., 2] - light[2]
-        lobe = np.where(mirrored > 0, np.maximum(mirrored, 0) ** 25, 0)
-        electrons = 4000 * on * np.where(cosine > 0, 0.3 * cosine + 0.4 * lobe, 0)
-        noisy = rng.poisson(electrons) + READ_NOISE * rng.standard_normal(on.shape)
-        images.append(np.clip(np.round(GAIN * noisy + 50), 0, 4095).astype(np.uint16))
+    shaded = shade(sphere_normals(SIDE, SIDE / 2 - 1), LIGHTS, "phong", 0.3, 0.4, 25)
+    exposed = {"gain": GAIN, "read_noise": READ_NOISE, "black": 50.0, "clip": 4095.0}
+    images = [expose(rng, 4000 * GAIN * one, **exposed).astype(np.uint16) for one in shaded]
     centre = (SIDE - 1) / 2
     return from_photographs(
         images,
