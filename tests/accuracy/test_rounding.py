@@ -108,6 +108,7 @@ def test_each_turn_of_a_loop_is_rounded():
     assert digits(newton, np.float32(2.0)).fewest == pytest.approx(2.8, abs=0.5)
 
 
+@pytest.mark.slow
 def test_an_operation_that_is_further_off_than_its_last_bit_loses_what_it_loses():
     from scipy.special import digamma
 
@@ -146,6 +147,7 @@ def of_a_function(entry):
     return np.median(told[known]), min(-np.log10(max(usual, 1e-20)), 7.22)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("lossy", "fine", "at"),
     [

@@ -80,6 +80,7 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
         assert float(found) == pytest.approx(1, abs=most)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "body",
     [jv.OrenNayar([0.3], 0.5), MULTIPLE([1.0], 0.4), jv.Phong([0.1], [0.3], 50.0)],

@@ -67,6 +67,7 @@ def test_the_head_says_what_it_is(rendered):
     assert attributes["Software"].startswith("jaxvision ")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("always:.*every pixel is black")
 def test_a_black_picture_is_named(tmp_path):
     (tmp_path / "away.toml").write_text(SCENE.replace("target = [0, 0, 0]", "target = [0, -8, 0]"))
@@ -530,6 +531,7 @@ def test_rows_come_out_as_tiles_went_in(tmp_path, tile, at_once):
     np.testing.assert_array_equal(np.concatenate(blocks), picture.reshape(5, 7, 2))
 
 
+@pytest.mark.slow
 def test_what_the_picture_lacks_is_said_and_stands_in_its_head(tmp_path):
     """A point lamp over a mirror, by paths, which find none of the light that it throws."""
     text = SCENE.replace("tile = 100", 'integrator = "path"\nsamples = 1')
@@ -566,6 +568,7 @@ def far_balls(count):
     )
 
 
+@pytest.mark.slow
 def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, monkeypatch):
     floor = (
         '[[surface]]\nshape = "quad"\ncorner = [-2, -2, -1]\nedge_u = [4, 0, 0]\n'

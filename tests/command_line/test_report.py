@@ -337,6 +337,7 @@ def test_a_table_in_a_notebook_has_units_where_there_are_any():
     assert without.count("<th>") == without.count("<td>") == 2
 
 
+@pytest.mark.slow
 def test_files_of_a_report_and_chains_that_arviz_opens(section, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # its notice of a coming release

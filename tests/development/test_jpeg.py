@@ -95,6 +95,7 @@ def test_small_and_grey_pictures(shape, compressed):
     np.testing.assert_array_equal(ours if codes.ndim == 3 else ours[..., 0], truth)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(7, 1, 3), (17, 2, 3), (9, 4, 3), (5, 5, 3)])
 def test_pictures_of_few_columns(shape, compressed):
     """libjpeg repeats chroma of up to two columns, without its triangle filter."""

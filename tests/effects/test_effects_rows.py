@@ -122,6 +122,7 @@ def test_every_field_of_a_scene_has_its_row_or_is_a_quantity(name):
     assert own == ROWS.get(name, set()) | QUANTITIES[name]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("depth", [None, 3])
 def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
     """A mirror at 45 degrees shows half of a lamp of radiance 3, and the floor beside it."""
@@ -144,6 +145,7 @@ def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
     assert isinstance(pruned.scene.surfaces[1].material, jv.Mirror)
 
 
+@pytest.mark.slow
 def test_a_ball_of_glass_is_estimated_in_all_bands():
     """Black, it hides a floor that glows; clear, it shows at least nine tenths of the glow."""
     glow = np.array([1.0, 2.0, 3.0])
@@ -155,6 +157,7 @@ def test_a_ball_of_glass_is_estimated_in_all_bands():
     assert 2.7 < estimate.bound < 3.0001
 
 
+@pytest.mark.slow
 def test_estimates_are_changes_of_the_picture():
     """A lamp near a ball: its bound as a point is several times the picture's brightest pixel."""
     ball = jv.Surface(jv.Sphere([0, 0, 0.5], 0.5), jv.Phong([0.2], [0.4], 80.0))

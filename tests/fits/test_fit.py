@@ -533,6 +533,7 @@ def _shade_of_a_black_ball(lamp, dense=1024):
     return radiance, clear & (x**2 + y**2 > 0.25)
 
 
+@pytest.mark.slow
 def test_a_free_lamp_over_an_occluder_warns_with_what_its_gradient_misses():
     """Against differences of pictures of a million pixels, with the edges at rest and moving."""
     floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))

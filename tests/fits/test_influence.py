@@ -97,6 +97,7 @@ def test_a_problem_leaves_out_what_does_not_move_its_target():
     assert len(told) == len([e for e in smaller.left_out.dropped if e.rank == "estimate"]) > 0
 
 
+@pytest.mark.slow
 def test_data_of_other_kinds_have_the_influence_of_floats():
     """Two lamps over a floor: without the far one, the near one gains its share, by projection."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))

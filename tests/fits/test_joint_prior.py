@@ -66,6 +66,7 @@ def normal_equations(part, precision=None, centre=None):
     )
 
 
+@pytest.mark.slow
 def test_two_halves_of_linear_data_equal_the_whole(half):
     with jax.enable_x64(True):
         both = fitted(line(SECOND, half.as_prior("*")))

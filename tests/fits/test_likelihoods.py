@@ -352,6 +352,7 @@ def test_residuals_of_outliers_are_as_large_on_both_sides(light, code, dtype):
     np.testing.assert_allclose(found, truth, rtol=1e-4 if dtype == jnp.float32 else 1e-9)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("traced", [False, True])
 def test_residuals_of_students_far_outliers_are_finite(traced):
     """Beyond 38 standard deviations at many degrees of freedom, where the tail underflows."""

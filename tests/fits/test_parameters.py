@@ -52,6 +52,7 @@ def test_no_vector_leaves_the_bounds():
         assert (natural <= upper).all()
 
 
+@pytest.mark.slow
 def test_slopes_in_numpy_are_jaxs():
     """Of natural values, and of the density that is flat where a number is at home."""
     places = np.linspace(-3, 3, 16).reshape(2, 8)

@@ -162,6 +162,7 @@ def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
         assert given_up.missing_steps > 80
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kept", ["memory", "checkpoint"])
 def test_a_chain_that_goes_on_is_one_that_never_stopped(tmp_path, sampled, kept):
     """Also where it stopped within a block: 150 is no multiple of 100."""
@@ -180,6 +181,7 @@ def test_a_chain_in_memory_fills_a_checkpoint(tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 3
 
 
+@pytest.mark.slow
 def test_a_density_has_one_fingerprint_in_every_process(capsys):
     """Its formula and its constants count; addresses and the order of sets do not."""
     program = (

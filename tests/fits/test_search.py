@@ -68,6 +68,7 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
         assert (np.abs(found - best[:4]) < 0.05 * errors).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.filterwarnings("ignore:JAXopt is no longer maintained")
 @pytest.mark.parametrize("solver", ["Dogleg", "BFGS", "LBFGSB", "partial"])
 def test_a_solver_of_optimistix_or_jaxopt_ends_where_the_default_does(solver):

@@ -141,6 +141,7 @@ def test_numbers_of_80_bits_and_records_are_read_or_refused_by_name():
     np.testing.assert_array_equal(jv.TriangleMesh(np.eye(3), swapped).faces, swapped)
 
 
+@pytest.mark.slow
 def test_what_is_no_random_key_is_refused_where_it_is_given():
     grey = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.1]), [0.5], two_sided=True)
     scene, ray = jv.Scene(grey, []), jv.Ray([0, 0, 0], [0, 0, 1])

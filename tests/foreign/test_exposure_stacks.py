@@ -203,6 +203,7 @@ def framed(bar, black):
     return codes
 
 
+@pytest.mark.slow
 def test_bars_of_a_film_are_neither_black_nor_scene():
     """Bars at 300 DN were taken for the black level of a camera whose black is 64 DN."""
     codes = framed(300, 64)
@@ -720,6 +721,7 @@ def test_times_that_cameras_print_are_replaced_by_whole_fractions_of_a_stop(part
     assert any("rounded as cameras print them" in remark for remark in found.stack.remarks)
 
 
+@pytest.mark.slow
 def test_times_as_printed_that_were_kept_are_left_alone():
     times = 1 / np.array([60, 30, 15, 8, 4, 2])
     rng, light = np.random.default_rng(4), ramp(60, 120, low=3000, high=300_000)

@@ -693,6 +693,7 @@ def test_a_mosaic_in_tiff_tells_its_phase(tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), np.eye(4))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_inspect_heads_channels_by_what_they_are(tmp_path, capsys):
     from typer.testing import CliRunner

@@ -59,6 +59,7 @@ def assert_true(found, **truth):
         assert abs(found[name].value - value) < 3.5 * found[name].standard_error, found[name]
 
 
+@pytest.mark.slow
 def test_rounded_moments_of_unequal_pixels_are_those_of_a_sum_over_pixels():
     """Of 201 x 401 places of the offset and codes, with Poisson's law summed, by SciPy."""
     mu, gain, read, offset, spread = 3.0, 0.25, 0.7, 64.3, 0.3
@@ -393,6 +394,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
     assert bool(_light_offset(True, found)) == said
 
 
+@pytest.mark.slow
 def test_a_stated_gain_that_the_frames_contradict_is_named():
     rng = np.random.default_rng(6)
 
@@ -410,6 +412,7 @@ def test_a_stated_gain_that_the_frames_contradict_is_named():
     assert told[0].startswith("camera.gain states 0.5 DN/e⁻, but the frames have 0.2")
 
 
+@pytest.mark.slow
 def test_darks_of_another_camera_are_a_cause_of_an_offset_of_the_light():
     """Darks 6 DN above the flats' black level look as if 48 photons of each flat were missing."""
     rng = np.random.default_rng(5)
@@ -804,6 +807,7 @@ def test_the_dark_current_of_clipped_black_blames_no_compensation():
     assert_true({"dark_current": estimates(found)["dark_current"]}, dark_current=20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lowest", [62, 65])
 def test_black_that_was_clipped_at_a_code_above_0_is_no_lower_read_noise(lowest):
     """Read noise was 2.91 +- .31 (5), dark current 22.3 +- 2.0 (40)."""

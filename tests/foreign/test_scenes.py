@@ -159,6 +159,7 @@ def sky_with_a_sun(rows: int) -> tuple[jv.EnvironmentMap, float]:
     return jv.environment_map(radiance), 1e5 * within * 0.5 / np.pi
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("rows", [64, 200])
 @pytest.mark.parametrize("name", ["render", "ray_traced", "outgoing_radiance"])
 def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
@@ -181,6 +182,7 @@ def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
     assert float(cured[0]) == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.slow
 def test_pictures_of_smooth_skies_say_nothing():
     clear = jv.lights.daylight(12, [0.3, 0.2, 0.8], irradiance=[1.0])
     for sky in (jv.environment_map(np.ones((4, 8, 1))), clear):
@@ -551,6 +553,7 @@ def test_no_radiosity_is_solved_for_albedos_above_1():
         jv.transport.radiosity.radiosity(bright, plan)
 
 
+@pytest.mark.slow
 def test_known_scenes_are_looked_at_inside_a_trace_too():
     shapes = [
         jv.Box([0, 0, 0], [1, 1, 1]),
@@ -641,6 +644,7 @@ def test_a_record_that_is_missing_is_named():
         jv.Surface(None, GREY)
 
 
+@pytest.mark.slow
 def test_a_kernel_of_diffraction_that_cuts_its_rings_is_named():
     """f/64 on pixels of 1 um: the first dark ring has a radius of 43 pixels, the default kernel 16.
     The middle pixel keeps pi / (2 lambda N)^2 of a point's light."""
@@ -668,6 +672,7 @@ UNDER_IT = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", UNDER_IT.values(), ids=UNDER_IT)
 def test_a_surface_near_a_wide_lamp_is_named(shape):
     """Under an endless lamp the irradiance is pi L, here 1 W/m^2."""
@@ -688,6 +693,7 @@ def test_lamps_beside_surfaces_that_they_light_little_are_not_named():
     assert missing_light(scene, integrator="direct") == []
 
 
+@pytest.mark.slow
 def test_pictures_warn_of_a_surface_near_a_wide_lamp():
     view = jv.Orthographic([0, 0, 0.005], DOWN, 0.02, resolution=(3, 3))
     scene = jv.Scene([FLOOR], [NEAR])

@@ -72,6 +72,7 @@ def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():
     assert _glow(SimpleNamespace(measurement=found)) is None
 
 
+@pytest.mark.slow
 def test_figures_of_the_standard_stand_where_the_likelihood_has_no_maximum(monkeypatch):
     def none(*_, **__):
         raise InputError("The best fit is no proper maximum, so it has no standard errors.")

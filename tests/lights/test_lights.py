@@ -103,6 +103,7 @@ def test_rays_of_a_small_light_carry_its_flux_by_the_cosine():
     np.testing.assert_allclose((flux[:, 0] * near).mean(), 3 * within(np.pi / 4))
 
 
+@pytest.mark.slow
 def test_any_number_of_lamps_of_one_kind_is_one_program():
     """The nearest of many lamps is that of a plain loop over them, and a scene of 60 lamps has as
     many operations that compute as one of 20: only the stacking of their numbers grows."""

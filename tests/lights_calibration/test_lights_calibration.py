@@ -439,6 +439,7 @@ def test_intervals_of_a_reflectance_hold_through_the_lights():
     assert np.mean(np.abs(z) < 1.96) >= 0.86
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "change",
     [

@@ -440,6 +440,7 @@ def test_a_rig_gives_fixed_pattern_by_both_methods(tmp_path):
             assert estimate.standard_error < 0.1 * true
 
 
+@pytest.mark.slow
 def test_a_noise_free_curve_is_fitted_exactly():
     camera = CameraTruth()
     # Means that do not scatter at all pull each variance down by 1 / pixels.

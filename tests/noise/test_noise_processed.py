@@ -224,6 +224,7 @@ def test_means_that_were_rounded_again_are_explained(count):
     assert abs(number - count) < 3 * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lowest", [62, 65])
 def test_black_that_was_clipped_above_0_is_predicted(lowest):
     """The camera's own code 0 is below it."""

@@ -250,6 +250,7 @@ def test_the_report_says_and_draws_it(camera):
     assert "308 K" in made.about
 
 
+@pytest.mark.slow
 def test_what_fails_is_said(camera):
     told = estimates_of_settings(3, efficiency=1 + 0.06 * settings_like(gain=800.0))
     made = section(as_calibration(fitted(SETTINGS, told)))

@@ -71,6 +71,7 @@ def test_independent_pixels_share_nothing():
         assert np.mean(z > 4) <= 0.01, name
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("name", "size"), [("rows", 1.0), ("columns", 0.7), ("fixed", 1.0)])
 def test_what_is_planted_is_found_to_its_size(name, size):
     rng = np.random.default_rng(1)
@@ -82,6 +83,7 @@ def test_what_is_planted_is_found_to_its_size(name, size):
     assert all(one.believed for one in found)
 
 
+@pytest.mark.slow
 def test_noise_of_rows_is_no_banding():
     """The average over a few frames keeps some of the noise of rows, which is no fixed pattern."""
     rng = np.random.default_rng(5)

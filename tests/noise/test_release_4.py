@@ -258,6 +258,7 @@ def test_slopes_are_exact_for_parabolas():
     np.testing.assert_allclose(slopes(light) @ (3 * light - 0.01 * light**2), 3 - 0.02 * light)
 
 
+@pytest.mark.slow
 def test_the_sections_tell_what_the_frames_show(stacks):
     linear, general = sections(release_4_sheet(stacks))
     assert [one.kind for one in (linear, general)] == [

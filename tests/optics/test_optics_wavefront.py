@@ -37,6 +37,7 @@ def test_terms_are_orthonormal_and_as_noll_numbers_them():
         np.testing.assert_allclose(z[..., j - 1], wanted, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_without_aberrations_it_is_the_airy_pattern():
     for pitch, size in ((2e-6, 17), (1.1e-5, 7)):
         airy = optics.airy_kernel(WAVE, 8.0, pitch, size=size)
@@ -67,6 +68,7 @@ def test_small_aberrations_lower_the_peak_as_marechal_says(j):
     assert ratio == pytest.approx(np.exp(-((2 * np.pi * rms / WAVE) ** 2)), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_large_defocus_is_the_disc_of_geometrical_optics():
     """Of radius 2 N dW/drho = 8 sqrt(3) N a at the rim, where the wave has a bright fringe."""
     waves = 4 * WAVE
@@ -82,6 +84,7 @@ def test_a_large_defocus_is_the_disc_of_geometrical_optics():
         assert float(kernel[inside].sum()) == pytest.approx(float(disc[inside].sum()), abs=most)
 
 
+@pytest.mark.slow
 def test_the_transfer_is_the_autocorrelation_of_the_pupil():
     """At a fifth of the cut-off in two directions; the pixel's share is divided out."""
     error = term(8, 0.1 * WAVE) + np.append(term(5, 0.15 * WAVE), [0, 0, 0])

@@ -182,6 +182,7 @@ def test_the_chance_of_a_verdict_is_that_of_the_intervals():
     assert not ratio(*of_eight, "cosine").ordered
 
 
+@pytest.mark.slow
 def test_what_misses_more_than_the_signal_is_never_as_good_as_what_does_not(calibration):
     """As good as the best without 70 degrees, but worse in all than no reflectance: 134 %."""
     told = verdict_of(calibration, blinn=errors_of(0.1, 0.1, 0.1, 0.1, 3))

@@ -488,6 +488,7 @@ def test_bad_input_is_a_sentence(images, lights, options, said):
         photometric_stereo(images, lights, **options)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("offset", [0.0, 64.0, -20.0])
 def test_what_pixels_read_that_face_away_from_a_light_is_an_offset(offset):
     """Lights of one height hide it from the residuals: n moves towards their axis."""
@@ -533,6 +534,7 @@ def test_a_ball_of_8_bits_that_is_clipped_leaves_out_its_largest_code():
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90 degrees about z
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("axes", "viewer", "said"),
     [
@@ -571,6 +573,7 @@ def test_three_lights_say_that_they_leave_no_errors():
     assert "only three lights are used" in found.findings[-1]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.parametrize("azimuths", [[90, 210, 330], [45, 135, 225, 315]])
 def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipped):
@@ -598,6 +601,7 @@ def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipp
     assert (three in str(found)) == (len(azimuths) == 3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("shadowed", [2, 3, 4])
 def test_cast_shadows_under_up_to_half_of_the_lights(shadowed, level):

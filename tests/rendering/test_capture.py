@@ -130,6 +130,7 @@ def program(function, *arguments):
     return str(jax.make_jaxpr(function)(*arguments))
 
 
+@pytest.mark.slow
 def test_a_noiseless_sensor_traces_no_random_bits():
     def shoot(camera):
         return capture(jax.random.key(0), LAMBERT_ONLY, camera).raw

@@ -15,6 +15,7 @@ FLOOR = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), GREY)
 UNDER = jv.Orthographic([0, 0, 0.1], DOWN, 0.25, resolution=(40, 40))
 
 
+@pytest.mark.slow
 def test_each_pixel_gains_its_part_of_the_outline():
     """A disc of unit radiance whose radius grows: the length of its outline in each pixel."""
 

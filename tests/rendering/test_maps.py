@@ -142,6 +142,7 @@ def test_a_normal_of_length_0_is_refused():
         jv.Surface(CARD, jv.Lambert([1 / np.pi]), normals=jv.Map(some))
 
 
+@pytest.mark.slow
 def test_a_normal_map_shades_as_a_turned_surface():
     """x follows growing u, which is y of the world; n x x is x of the world here."""
     middle = replace(VIEW, resolution=(1, 1))

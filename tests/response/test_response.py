@@ -95,6 +95,7 @@ def test_images_that_contradict_their_times_are_refused(tmp_path, times, change,
         calibrate_response(read_exposure_stack(load_rig(write_rig(tmp_path, images, times))))
 
 
+@pytest.mark.slow
 def test_the_curve_leaves_whole(calibration):
     """Every code of every channel; where pixels were seen it is the sRGB curve, within 5 %."""
     curve = response_section(calibration).data["curve"]
@@ -259,6 +260,7 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
     np.testing.assert_allclose(columns["lower_95"], [np.exp(-0.196), 0.0], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
     images = colour_images()
     images[..., 2] = 3

@@ -91,6 +91,7 @@ def test_band_holds_the_truth_and_widens_with_shutter_errors():
     assert np.mean(widths[4:]) > 2 * np.mean(widths[:4])
 
 
+@pytest.mark.slow
 def test_jpeg_photographs_from_hand():
     """Half a pixel of misregistration, 1 % shutters, moving leaves, JPEG."""
     codes = jpeg_stack(s_shaped, TIMES[::2], np.random.default_rng(1))
@@ -245,6 +246,7 @@ def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
     np.testing.assert_allclose(found[far], (exact - exact[bins.middle])[far], atol=1e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("well", [40e3, 100e3, 400e3])
 def test_bands_hold_where_rounding_is_coarser_than_noise(well):
     """A linear 8-bit camera whose codes noise does not dither, at one stop."""

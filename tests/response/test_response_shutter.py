@@ -41,6 +41,7 @@ def places(rng, tau, known=0.0):
     return stats.t.cdf(truth / np.sqrt(square), freedom)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("tau", [1e-3, 0.01, 0.03])
 def test_three_exposures_hold_the_truth_however_small_the_error_that_shows(tau):
     """One error shows, by chance small: with Student's t of one degree of freedom at the likeliest
@@ -50,6 +51,7 @@ def test_three_exposures_hold_the_truth_however_small_the_error_that_shows(tau):
     assert stats.norm.ppf(place).std() < 1.15
 
 
+@pytest.mark.slow
 def test_intervals_hold_as_often_as_they_say_over_shutters_of_the_prior():
     rng = np.random.default_rng(1)
     place = places(rng, np.minimum(0.01 * np.exp(2.5 * rng.standard_normal(1000)), 1.0))
@@ -64,6 +66,7 @@ def test_what_is_known_of_the_times_is_the_least():
     assert half > 1.96 * 0.01 / np.sqrt(SPREAD)
 
 
+@pytest.mark.slow
 def test_what_is_stated_of_the_times_is_believed_unless_images_show_more():
     place = places(np.random.default_rng(2), np.full(600, 0.01), known=0.01)
     for level in (0.68, 0.95):
