@@ -73,7 +73,14 @@ SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on n
 NEGLIGIBLE = 1e-6  # of the albedo: departures from Lambert's law below it are rounding
 SAME = 1e-3  # rad between lights of the same direction
 DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
-Limits = tuple[float, float, float]  # lowest, highest, standard deviation of readings without light
+RIVAL = 6  # least readings of a second set that agrees on another normal
+NOISY = 0.01  # of the readings: residuals from which wrong readings in most pixels are looked for
+VOTERS, LUCKY = 200, 0.1  # pixels that estimate their noise; share with enough right readings
+SCATTERED = 0.25  # of the readings: residuals from which readings hardly show the normal
+SPOILED = 2.0  # ratio of residuals to noise from which most pixels have wrong readings
+# lowest, highest, standard deviation of readings without light, and of all readings where most
+# pixels have wrong ones (infinite where they do not)
+Limits = tuple[float, float, float, float]
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
 
@@ -258,8 +265,11 @@ def photometric_stereo(
     if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
         highest, clipped = top, (_clipped_finding(readings, top),)
     between = (readings > lowest) & (readings < highest)
-    first = _consistent(rows, readings, between) if robust else between
-    limits = (lowest, highest, _dark_noise(rows, readings, first))
+    noise, scattered = np.inf, ()
+    if robust:
+        noise, scattered = _noise_among_wrong(rows, readings, between, stack.shape)
+    first = _consistent(rows, readings, between, noise) if robust else between
+    limits = (lowest, highest, _dark_noise(rows, readings, first), noise)
     unlit = _unlit_finding(readings, between, limits)
     between &= not unlit
     counts = _counted(rows, readings, between, limits, robust=robust)
@@ -353,7 +363,15 @@ def photometric_stereo(
         albedo_sd.reshape(shape[1:]),
         counts.sum(axis=0).reshape(shape[1:]),
         misfit.reshape(shape[1:]),
-        (*missing, *clipped, *_copies(stack), *remarks, *findings, *axes_findings(normals, toward)),
+        (
+            *missing,
+            *clipped,
+            *scattered,
+            *_copies(stack),
+            *remarks,
+            *findings,
+            *axes_findings(normals, toward),
+        ),
         {} if surface is None else surface.numbers,
     )
 
@@ -784,7 +802,7 @@ def _counted(
     beyond this noise that would leave fewer than three lights is not applied.
     """
 
-    near = _consistent(rows, readings, between) if robust else between.copy()
+    near = _consistent(rows, readings, between, limits[3]) if robust else between.copy()
     moving = np.arange(readings.shape[1])
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
@@ -797,7 +815,7 @@ def _counted(
             known = np.isfinite(solved(own_rows, own, narrower.astype(float))[1][:, 0, 0])
             chosen = np.where(known, narrower, chosen)
         if robust:
-            chosen = _consistent(own_rows, own, chosen)
+            chosen = _consistent(own_rows, own, chosen, limits[3])
         changed = (chosen != own_near).any(axis=0)
         near[:, moving] = chosen
         moving = moving[changed]
@@ -835,27 +853,21 @@ def _usual_residual(rows: Rows, readings: Readings, near: Counted, g: Vectors) -
     return NORMAL_MAD * middle * np.sqrt(used / np.maximum(used - 3, 1))
 
 
-def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
-    """Return the readings near the fit of least absolute residuals, if there are at least five."""
+def _consistent(rows: Rows, readings: Readings, counts: Counted, noise: float = np.inf) -> Counted:
+    """Return the readings near the fit of least absolute residuals, if there are at least five.
+    The usual residual is at most `noise`."""
     used = counts.sum(axis=0)
-    weights = counts.astype(float)
-    size = np.abs(np.where(counts, readings, 0)).max(axis=0)
-    least = np.where(size > 0, 1e-6 * size, 1.0)
-    residuals = np.zeros_like(readings)
-    for _ in range(ROUNDS):
-        g, _ = solved(rows, readings, weights)
-        residuals = np.where(counts, np.abs(readings - predicted(rows, g)), np.nan)
-        weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
-        weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))
-    scale = NORMAL_MAD * _median(residuals, used)
+    residuals, scale, least = _least_absolute(rows, readings, counts)
     near = counts & ~(residuals > FAR * np.maximum(scale, least))
     near = np.where((used >= 5) & (near.sum(axis=0) >= 4), near, counts)
     usual = float(np.median(scale[used >= AGREE])) if (used >= AGREE).any() else 0.0
+    usual = min(usual, noise)
     wild = (used > AGREE) & (np.where(near, residuals, 0).max(axis=0) > APART * max(usual, 1e-300))
     wild |= (used > AGREE) & ((counts & ~near).sum(axis=0) > 1)
     if wild.any() and usual > 0:
         some = np.flatnonzero(wild)
-        own = _agreeing(at_pixels(rows, some), readings[:, some], counts[:, some], FAR * usual)
+        own_rows, own_readings = at_pixels(rows, some), readings[:, some]
+        own = _agreeing(own_rows, own_readings, counts[:, some], FAR * usual)
         better = own.sum(axis=0) > np.maximum(
             (near & (residuals < FAR * usual))[:, some].sum(axis=0), AGREE - 1
         )
@@ -868,19 +880,109 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted) -> Counted:
     return near
 
 
-def _agreeing(rows: Rows, readings: Readings, counts: Counted, tolerance: float) -> Counted:
+def _least_absolute(
+    rows: Rows, readings: Readings, counts: Counted
+) -> tuple[Readings, OfPixels, OfPixels]:
+    """Return the absolute residuals of the fit of least absolute residuals, a standard deviation
+    from their median, and the least one that rounding allows."""
+    weights = counts.astype(float)
+    size = np.abs(np.where(counts, readings, 0)).max(axis=0)
+    least = np.where(size > 0, 1e-6 * size, 1.0)
+    residuals = np.zeros_like(readings)
+    for _ in range(ROUNDS):
+        g, _ = solved(rows, readings, weights)
+        residuals = np.where(counts, np.abs(readings - predicted(rows, g)), np.nan)
+        weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
+        weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))
+    return residuals, NORMAL_MAD * _median(residuals, counts.sum(axis=0)), least
+
+
+def _noise_among_wrong(
+    rows: Rows, readings: Readings, counts: Counted, shape: tuple[int, ...]
+) -> tuple[float, tuple[str, ...]]:
+    """Return the standard deviation of a reading if most pixels have wrong readings, else infinity,
+    and a sentence if readings scatter so much that they hardly depend on the normal.
+    Wrong readings enlarge the residuals of most pixels, and neighbouring pixels do not share them.
+    The noise is then estimated from the readings that come nearest to a fit of three of them, in
+    the pixels where these residuals are small, compared with those of Gaussian noise.
+    """
+    used, largest = counts.sum(axis=0), np.where(counts, readings, 0).max(axis=0)
+    known = used > AGREE
+    bright = np.flatnonzero(known & (largest >= np.median(largest[known] if known.any() else 0)))
+    if bright.size < FEWEST:
+        return np.inf, ()
+    usual = 0.0
+    for among in (np.flatnonzero(known), bright):
+        some = among[:: -(-among.size // VOTERS)]
+        own_rows, own, used = at_pixels(rows, some), readings[:, some], counts[:, some]
+        least = float(np.median(_least_absolute(own_rows, own, used)[1]))
+        usual = max(usual, least)
+    relative = least / float(np.median(own[used]))
+    if usual <= NOISY * np.median(own[used]):
+        return np.inf, ()
+    weights = counts.astype(float)
+    residuals = np.where(counts, readings - predicted(rows, solved(rows, readings, weights)[0]), 0)
+    lit = (counts & np.isfinite(residuals)).reshape(shape)
+    if shared_squares(residuals.reshape(shape), lit) > SHARED:
+        return np.inf, ()
+    unit = np.random.default_rng(0).normal(size=own.shape)
+    seen, expected = (
+        np.quantile(_nearest_half(own_rows, values, used), LUCKY) for values in (own, unit)
+    )
+    noise = min(float(seen / expected), least)
+    said = () if relative <= SCATTERED else (_scattered_finding(relative),)
+    return noise if SPOILED * noise < usual else np.inf, said
+
+
+def _scattered_finding(relative: float) -> str:
+    return (
+        f"Readings scatter about m = E rho n.l by {format_percent(relative)} of their median, and "
+        "neighbouring pixels do so independently. If this is not noise, most pixels have wrong "
+        "readings, as in images of other views or damaged files, and normals and their standard "
+        "deviations are wrong; look at the images."
+    )
+
+
+def _nearest_half(rows: Rows, readings: Readings, counts: Counted) -> OfPixels:
+    """Return, for each pixel, the least residual within which about half of the readings lie of a
+    fit of three readings."""
+    place = np.maximum(counts.sum(axis=0) // 2, AGREE)[None] - 1
+    found = np.full(readings.shape[1], np.inf)
+    for three in _triples(len(readings)):
+        weights = np.zeros_like(readings)
+        weights[three] = counts[three].all(axis=0)
+        g, _ = solved(rows, readings, weights)
+        away = np.where(counts, np.abs(readings - predicted(rows, g)), np.inf)
+        away = np.take_along_axis(np.sort(np.nan_to_num(away, nan=np.inf), axis=0), place, axis=0)
+        found = np.minimum(found, away[0])
+    return found
+
+
+def _triples(lights: int) -> list[list[int]]:
+    triples = list(combinations(range(lights), 3))
+    return [list(three) for three in triples[:: -(-len(triples) // TRIPLES)]]
+
+
+def _agreeing(
+    rows: Rows,
+    readings: Readings,
+    counts: Counted,
+    tolerance: float | OfPixels,
+    apart: Counted | None = None,
+) -> Counted:
     """Return, for each pixel, the largest set of readings within a tolerance of the prediction from
-    three of them. It contains the valid readings where up to half of all are in shadow."""
-    triples = np.array(list(combinations(range(len(readings)), 3)))
-    triples = triples[:: -(-len(triples) // TRIPLES)]
+    three of them. It contains the valid readings where up to half of all are in shadow. With
+    `apart`, at least a third of the readings of a set are of these."""
     best, most = np.zeros_like(counts), np.zeros(readings.shape[1])
-    for three in map(list, triples):
+    for three in _triples(len(readings)):
         weights = np.zeros_like(readings)
         weights[three] = counts[three].all(axis=0)
         g, _ = solved(rows, readings, weights)
         with np.errstate(invalid="ignore"):
             own = counts & (np.abs(readings - predicted(rows, g)) < tolerance)
         more = own.sum(axis=0) > most
+        if apart is not None:
+            more &= 3 * (own & apart).sum(axis=0) >= own.sum(axis=0)
         best[:, more], most = own[:, more], np.maximum(most, own.sum(axis=0))
     return best
 
@@ -888,15 +990,25 @@ def _agreeing(rows: Rows, readings: Readings, counts: Counted, tolerance: float)
 def _contradicted_pixels(
     rows: Rows, readings: Readings, counts: Counted, between: Counted, limits: Limits
 ) -> tuple[Bool[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return the pixels in which as many readings contradict the fit as support it, and those whose
-    readings scatter much more than usual."""
+    """Return the pixels in which as many readings contradict the fit as support it, or nearly as
+    many agree on another normal, and those whose readings scatter much more than usual."""
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = np.sqrt(_scatter(rows, readings, counts, g, used))
     usual = np.nanmedian(scatter) if np.isfinite(scatter).any() else np.inf
+    usual = min(usual, limits[3])
     expected = predicted(rows, g)
-    lit = expected > limits[0] + CLEAR * limits[2]
-    apart = between & ~counts & lit & (np.abs(readings - expected) > APART * usual)
-    return (used > 3) & (apart.sum(axis=0) > used - 2), scatter > APART * usual
+    dark = limits[0] + CLEAR * limits[2]
+    off = between & ~counts & (np.abs(readings - expected) > APART * usual)
+    apart = (off & (expected > dark)).sum(axis=0)
+    against = apart > used - (2 if np.isinf(limits[3]) else 4)
+    some = np.flatnonzero((off.sum(axis=0) > 1) & (used > 3) & ~against)
+    if some.size and 0 < usual < np.inf:
+        own, lit = readings[:, some], (between & (readings > dark))[:, some]
+        misses = np.where(counts, np.abs(readings - expected), 0)[:, some].max(axis=0)
+        as_well = np.maximum(FAR * usual, misses)  # as the accepted readings agree
+        second = _agreeing(at_pixels(rows, some), own, lit, as_well, off[:, some])
+        against[some] = second.sum(axis=0) >= np.maximum(used[some] - 2, RIVAL)
+    return (used > 3) & against, scatter > APART * usual
 
 
 def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:

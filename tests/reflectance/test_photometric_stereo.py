@@ -629,3 +629,62 @@ def test_cast_shadows_under_up_to_half_of_the_lights(shadowed, level):
         assert any("pixels the readings contradict each other" in s for s in found.findings)
     rest = inside & ~part
     assert np.mean(off[rest] < 2.448 * found.normal_sd[rest]) > 0.9
+
+
+def ringed_ball(count, seed):
+    """Lights in two rings, and normals and readings of a ball of 30 pixels."""
+    turns = 2 * np.pi * np.arange(count) / count
+    up = np.radians(50 + 15 * (np.arange(count) % 2 == 0))
+    lights = np.stack([np.cos(up) * np.cos(turns), np.cos(up) * np.sin(turns), np.sin(up)], axis=1)
+    row, column = (np.mgrid[:30, :30] - 14.5) / 14
+    normals = np.stack([column, -row, np.sqrt(np.maximum(1 - row**2 - column**2, 0))], axis=-1)
+    inside = normals[..., 2] > 0.25
+    images = 1000 * np.maximum(np.einsum("kc,hwc->khw", lights, normals), 0) * inside
+    return np.random.default_rng(seed), lights, normals, inside, images
+
+
+@pytest.mark.parametrize(
+    ("count", "share"), [(12, 0.3), (12, 0.5), (20, 0.5), (8, 0.5), (8, 0.7), (20, 0.7)]
+)
+def test_many_random_readings_give_no_normal_or_a_sentence(count, share):
+    """The residuals of most pixels are those of wrong readings. Cones contained 48 to 70 %, and no
+    sentence said so."""
+    rng, lights, normals, inside, images = ringed_ball(count, 1)
+    wrong = rng.random(images.shape) < share
+    images = np.where(wrong, rng.uniform(0, 1000, images.shape), images)
+    found = photometric_stereo(images + 3 * rng.normal(size=images.shape), lights)
+    off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
+    known = inside & np.isfinite(found.normal_sd)
+    covered = np.mean(off[known] < 2.448 * found.normal_sd[known])
+    if share <= 0.5 and count >= 12:  # the right readings of a pixel prevail
+        assert covered > 0.83
+    if share > 0.3:
+        assert any("most pixels have wrong readings" in sentence for sentence in found.findings)
+    else:
+        assert covered > 0.9
+        assert known.sum() > 0.5 * inside.sum()
+
+
+@pytest.mark.parametrize("noise", [10, 100])
+def test_noise_alone_is_not_called_wrong_readings(noise):
+    rng, lights, normals, inside, images = ringed_ball(12, 2)
+    found = photometric_stereo(images + noise * rng.normal(size=images.shape), lights)
+    off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
+    known = inside & np.isfinite(found.normal_sd)
+    assert known.sum() > 0.97 * inside.sum()
+    assert np.mean(off[known] < 2.448 * found.normal_sd[known]) > 0.9
+    assert not any("wrong readings" in sentence for sentence in found.findings)
+
+
+@pytest.mark.parametrize("level", [0.1, 0.3])
+def test_shadowed_readings_that_agree_on_another_normal_leave_none(level):
+    """Six of 12 readings in a cast shadow: eight of them agree on a normal that is 49 to 87 degrees
+    off, and six on the right one."""
+    rng, lights, normals, inside, images = ringed_ball(12, 2)
+    part = inside & (np.abs(normals[..., 0]) < 0.3) & (np.abs(normals[..., 1]) < 0.5)
+    images[:6, part] *= level
+    found = photometric_stereo(images + 3 * rng.normal(size=images.shape), lights)
+    off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
+    known = part & np.isfinite(found.normal_sd)
+    assert np.sum(off[known] > 2.448 * found.normal_sd[known]) <= 0.01 * part.sum()
+    assert any("pixels the readings contradict each other" in s for s in found.findings)
