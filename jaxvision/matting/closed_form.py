@@ -19,11 +19,14 @@ from jaxtyping import Array, Bool, Float
 from ..core._arguments import takes_numbers
 from ..core._shown import Shown
 from ..core._types import Scalar, as_relative, is_known
+from ..core._warnings import warn_caller
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsen, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
+ROUNDING = 0.5  # of the square of the largest light and the unit in the last place: least epsilon
+FLAT = 10.0  # ratio of the picture's variance to epsilon below which it is reported
 STEPS = 500  # largest number of steps of the solver
 
 
@@ -59,6 +62,7 @@ def closed_form_matte(
         image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
         trimap: (h, w) no unit: up to 0.1 is background, from 0.9 on foreground, between is unknown.
         epsilon: regularisation of windows of one colour, in the square of relative light, above 0.
+            Values below the rounding of the picture's squares are raised to it.
         confidence: c, no unit, above 0; 100 in the paper. None for an exact trimap.
         tolerance: of the residual relative to the right-hand side, no unit. None takes 1e-7 in
             float64 and 1e-6 in float32.
@@ -94,6 +98,7 @@ def closed_form_matte(
             f"{trimap.shape}."
         )
     _check_numbers(image, trimap)
+    _warn_of_no_effect(image, trimap, epsilon, confidence)
     if tolerance is None:
         tolerance = _least_residual(image)
     return _solve(image, trimap, epsilon, confidence, tolerance, max_steps)
@@ -118,7 +123,11 @@ def _solve(
     # a pixel whose trimap is NaN is neither known nor unknown
     known = jnp.where(jnp.isnan(trimap), jnp.nan, known)
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)
-    laplacian = matting_laplacian(image, epsilon=epsilon)
+    # smaller values of epsilon are lost in the rounding of the windows' covariances
+    rounding = ROUNDING * jnp.finfo(image.dtype).eps * jnp.max(image, initial=0) ** 2
+    laplacian = matting_laplacian(
+        image, epsilon=jnp.maximum(epsilon, jax.lax.stop_gradient(rounding))
+    )
     if confidence is None:
         unknown = 1 - known
         system = restricted_to(laplacian, unknown).at[2, 2].add(known)
@@ -139,6 +148,28 @@ def _solve(
     converged = left <= 4 * tolerance * jnp.linalg.norm(wanted)
     solution = jnp.where(jnp.isnan(left), left, solution)  # if the solver could not start
     return Matte(jnp.clip(solution, 0, 1)[..., None], converged)
+
+
+def _warn_of_no_effect(
+    image: Array, trimap: Array, epsilon: Scalar | float, confidence: Scalar | float | None
+) -> None:
+    """Warn if the matte does not depend on the picture, or hardly."""
+    if is_known(trimap) and confidence is None:
+        marks = np.asarray(trimap)
+        if not ((marks > BACKGROUND) & (marks < FOREGROUND)).any():
+            warn_caller(
+                "The trimap has no unknown pixels (between 0.1 and 0.9), so the matte is the "
+                "trimap; mark the pixels to be estimated, for example by 0.5."
+            )
+            return
+    if is_known(image) and is_known(epsilon):
+        spread = np.asarray(image, float).std(axis=(0, 1)).max()
+        if spread**2 < FLAT * float(epsilon):
+            warn_caller(
+                f"The picture varies by {spread:.2g} about its mean, which is little beside the "
+                f"square root of epsilon = {float(epsilon):.2g}, so alpha hardly depends on it; "
+                "scale the picture to about 1, or give a smaller epsilon."
+            )
 
 
 def _check_numbers(image: Array | np.ndarray, trimap: Array | np.ndarray) -> None:

@@ -27,11 +27,15 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._numerics import divide, smallest_divisor
 from ..core._types import Scalars, as_relative, check_choice, is_known, map_beside, print_by_name
+from ..core._warnings import warn_caller
 from ..point_ops import srgb_decode, srgb_encode
 
 Layer = Float[Array, "... _"]
 Alpha = Float[Array, "... 1"]
 print_by_name(globals(), "Layer", "Alpha")
+
+SEVERAL = 30  # partly covered pixels for a judgement of straight and multiplied colours
+CODE = 0.5 / 255  # rounding of a colour of 8 bits
 
 # (F_A of alpha_B, F_B of alpha_A): Porter and Duff, section 4.2, and their "plus" of section 4.5.
 _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]] = {
@@ -104,6 +108,8 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
             f"coverage, got shapes {front.shape} and {back.shape}."
         )
     _warn_of_rgb(front, back)
+    for name, layer in (("front", front), ("back", back)):
+        _warn_of_straight(name, layer)
     of_front, of_back = _FRACTIONS[operator]
     a, b = checked_alpha(front[..., -1:]), checked_alpha(back[..., -1:])
     return of_front(b) * front + of_back(a) * back
@@ -123,6 +129,41 @@ def _warn_of_rgb(*layers: Layer) -> None:
             "alpha as a fourth channel.",
             stacklevel=4,
         )
+
+
+def _partly_covered(layer: Layer, most: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the largest light and the coverage of pixels with a coverage up to `most`, if the
+    picture is known, has enough of them, and has no light above 1."""
+    if not is_known(layer) or layer.ndim < 3:
+        return None
+    light, covered = np.asarray(layer[..., :-1]).max(axis=-1), np.asarray(layer[..., -1])
+    at = (covered > 0) & (covered < most)
+    if at.sum() < SEVERAL or not light.max() <= 1:
+        return None
+    return light[at], covered[at]
+
+
+def _warn_of_straight(name: str, layer: Layer) -> None:
+    """Warn about light that exceeds the coverage of most partly covered pixels."""
+    found = _partly_covered(layer, 0.5)
+    if found is None or not (share := np.mean(found[0] > found[1])) > 0.5:
+        return
+    warn_caller(
+        f"{name}: light exceeds the coverage in {share:.0%} of the pixels that are covered by less "
+        "than half, as in straight colours. Layers hold light times coverage; use premultiply, or "
+        "layer_from_srgb for files."
+    )
+
+
+def _warn_of_premultiplied(rgba: Layer) -> None:
+    """Warn about colours that are nowhere above their coverage, though some are hardly covered."""
+    found = _partly_covered(rgba, 0.1)
+    if found is None or not (found[0] <= found[1] + CODE).all() or not np.median(found[0]) > 0:
+        return
+    warn_caller(
+        "No colour exceeds its coverage where that is below 0.1, as in colours that were already "
+        "multiplied by it. If so, divide by it before layer_from_srgb, or edges become too dark."
+    )
 
 
 @takes_numbers
@@ -230,6 +271,7 @@ def layer_from_srgb(rgba: Layer) -> Layer:
     Raises:
         ValueError: for an alpha outside [0, 1].
     """
+    _warn_of_premultiplied(rgba)
     return premultiply(srgb_decode(rgba[..., :-1]), rgba[..., -1:])
 
 

@@ -172,3 +172,30 @@ def test_bad_calls_are_named():
         c.over(A, B[..., :3])
     with pytest.raises(ValueError, match="same channels"):
         c.over(A[..., :1], B[..., :1])
+
+
+def soft_disc(colour, coverage_first):
+    """A soft disc of one colour, (40, 40, 4), multiplied by its coverage or straight."""
+    row, column = np.mgrid[:40, :40] - 19.5
+    alpha = np.clip((14 - np.hypot(row, column)) / 5, 0, 1)[..., None]
+    light = np.broadcast_to(colour, (40, 40, 3)) * (alpha if coverage_first else 1)
+    return np.concatenate([light, alpha], axis=-1)
+
+
+def test_straight_colours_are_named_where_layers_are_due():
+    behind = np.concatenate([np.full((40, 40, 3), 0.3), np.ones((40, 40, 1))], axis=-1)
+    with pytest.warns(UserWarning, match=r"front: light exceeds .* in 100% of the pixels"):
+        c.over(soft_disc([0.8, 0.5, 0.2], False), behind)
+    right = c.over(soft_disc([0.8, 0.5, 0.2], True), behind)  # a warning would be an error
+    alpha = soft_disc([0, 0, 0], True)[..., 3:]
+    np.testing.assert_allclose(
+        right[..., :3], alpha * [0.8, 0.5, 0.2] + (1 - alpha) * 0.3, rtol=1e-5
+    )
+    c.over(soft_disc([8.0, 5.0, 2.0], True), behind)  # light above 1 may exceed any coverage
+
+
+def test_colours_that_were_multiplied_already_are_named():
+    with pytest.warns(UserWarning, match="No colour exceeds its coverage"):
+        c.layer_from_srgb(np.round(255 * soft_disc([0.8, 0.5, 0.2], True)) / 255)
+    for straight in ([0.8, 0.5, 0.2], [0.15, 0.1, 0.1], [0.0, 0.0, 0.0]):
+        c.layer_from_srgb(np.round(255 * soft_disc(straight, False)) / 255)

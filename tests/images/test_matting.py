@@ -345,6 +345,28 @@ def test_bad_trimaps_are_named():
             matting.closed_form_matte(*call)
 
 
+@pytest.mark.parametrize("scale", [255.0, 1e4])
+def test_the_matte_of_a_bright_picture_is_that_of_its_scaled_copy(scale):
+    """In float32 the default epsilon is lost in the rounding of bright pictures: alpha was NaN."""
+    image, trimap = (jnp.asarray(x, jnp.float32) for x in (SEEN, TRIMAP))
+    found = matting.closed_form_matte(scale * image, trimap)
+    right = matting.closed_form_matte(image, trimap)
+    assert bool(found.converged)
+    np.testing.assert_allclose(found.alpha, right.alpha, atol=3e-3)
+
+
+def test_a_matte_that_does_not_depend_on_the_picture_is_named():
+    image, trimap = arrays(SEEN, TRIMAP)
+    with pytest.warns(UserWarning, match="The trimap has no unknown pixels"):
+        found = matting.closed_form_matte(image, jnp.round(trimap + 0.1))
+    np.testing.assert_allclose(found.alpha[..., 0], np.round(trimap + 0.1), atol=1e-6)
+    for dim in (1e-4 * image, jnp.full_like(image, 0.5)):
+        with pytest.warns(UserWarning, match="so alpha hardly depends on it"):
+            matting.closed_form_matte(dim, trimap)
+    dim = matting.closed_form_matte(1e-4 * image, trimap, epsilon=1e-15)
+    np.testing.assert_allclose(dim.alpha, matting.closed_form_matte(image, trimap).alpha, atol=5e-3)
+
+
 def test_numbers_that_solve_nothing_are_named():
     image, trimap, alpha, behind = arrays(SEEN, TRIMAP, ALPHA, BEHIND)
     for options, message in (
