@@ -16,7 +16,7 @@ from .calibration import NoiseCalibration, lamp_error, steady_linearity
 from .counted import SUB_ELECTRON
 from .doubts import drifting, printed_times, trend_of
 from .emva1288 import is_floored, least_dark_variance
-from .levels import PhotonTransfer, signal_of
+from .levels import PhotonTransfer, partly_saturated_in_words, signal_of
 from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
@@ -33,6 +33,7 @@ SIGNIFICANCE_SIGMAS = 6.0  # standard errors of a smooth unevenness of darks
 LEAST_GROWTH = 3.0  # ratio of the rms unevenness to that at the shortest exposure
 LEAST_UNEVENNESS = 0.1  # least unevenness, relative to the noise of a pixel
 CONTRADICTION_SIGMAS = 4.0  # standard errors between a number of the rig and its estimate
+LONG_EXPOSURE = 10.0  # s, of a flat, from which exposures may be in milliseconds
 LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light is not reported
 
 
@@ -464,6 +465,21 @@ def _unsaturated(calibration: NoiseCalibration) -> Numbers | None:
     return {"which": "No remaining level" if left_out else "No level"}
 
 
+def _long_exposures(calibration: NoiseCalibration) -> Numbers | None:
+    """Return the numbers for the finding that exposures are read as seconds; None if those of the
+    flats are short, or if there is no dark current."""
+    bright, current = calibration.measurement.bright, calibration.shown.get("dark_current")
+    times, frames = np.asarray(bright.exposure), np.asarray(bright.frames)
+    if current is None or not current.value or times.max() < LONG_EXPOSURE:
+        return None
+    return {
+        "longest": float(times.max()),
+        "hours": float(np.sum(times * frames)) / 3600,
+        "current": float(current.value),
+        "other": 1e3 * float(current.value),
+    }
+
+
 def _glow(calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding on glow: darks with a smooth unevenness that grows with
     exposure; None if there is none."""
@@ -860,6 +876,14 @@ FINDINGS = (
         "capacity are not determined, and the sensor file is wrong above the knee; give linear "
         "frames.",
     ),
+    Finding(
+        "long exposures",
+        _long_exposures,
+        "Exposures are read as seconds: the longest flat has {longest:.4g} s, and all flats have "
+        "{hours:.2g} hours. If they are milliseconds, the dark current is {other:.3g} e⁻/s, not "
+        "{current:.3g}, and light per second is 1000 times as large: give seconds.",
+    ),
+    _as_they_are("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
     Finding(
         "no saturation",
         _unsaturated,

@@ -269,6 +269,7 @@ class LevelSums:
                 "spatial_variance": float(average[live.mask].var(ddof=1)),
                 "frames": float(count),
                 "trend": float(np.polyfit(np.arange(count), self._shifts, 1)[0]),
+                "ended": float(np.mean([frame.at_top for frame in self.shown])),
                 "covariances": covariances,
                 "residues": residues(average, temporal, live),
                 "quarters": quarters(average, temporal, live),

@@ -92,6 +92,7 @@ FEWEST_PIXELS = 100
 SATURATED_DROP = 5.0  # standard errors by which the variance decreases above the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations
+MOST_ENDED = 1e-3  # share of saturated values of a level that is used
 FEWEST_OF_ONE = 4  # fewest levels read by one of two converters
 
 
@@ -142,6 +143,7 @@ class Levels(eqx.Module):
         left_out: sentences on frames that were left out because they do not match the others.
         trend: (levels,) slope of the frames' means over their order, DN per frame; None where only
             sums over the frames are known.
+        ended: (levels,) share of the values at the end of the scale; None without frames.
     """
 
     light: Float[Array, " levels"]
@@ -163,6 +165,7 @@ class Levels(eqx.Module):
     flicker: Float[Array, "2 levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
     trend: Float[Array, " levels"] | None = None
+    ended: Float[Array, " levels"] | None = None
 
     @property
     def variance_error(self) -> Float[np.ndarray, " levels"]:
@@ -311,10 +314,35 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
     if saturated is not None:
         signal = signal_of(measurement)
         usable &= signal <= LINEAR_TOP * signal[saturated]
+    usable &= ~partly_saturated(measurement)
     # Levels below the number at which another converter takes over, if there are enough.
     top = measurement.converter.coarse_from
     below = np.flatnonzero(usable & (reached(bright) < (np.inf if top is None else top)))
     return below if len(below) >= FEWEST_OF_ONE else np.flatnonzero(usable)
+
+
+def partly_saturated(measurement: PhotonTransfer) -> Bool[np.ndarray, " levels"]:
+    """Return a mask of the bright levels of which a part of the pixels is saturated although their
+    mean is clear of the end of the scale, because light or gains are uneven."""
+    ended = measurement.bright.ended
+    if ended is None:
+        return np.zeros(measurement.bright.mean.shape, bool)
+    return measurement.clear & (np.asarray(ended) > MOST_ENDED)
+
+
+def partly_saturated_in_words(measurement: PhotonTransfer) -> list[str]:
+    """Return a sentence on levels that are not used because a part of their pixels is saturated."""
+    some = np.flatnonzero(partly_saturated(measurement))
+    if not some.size:
+        return []
+    bright = measurement.bright
+    ended, mean = (float(np.asarray(x)[some[0]]) for x in (bright.ended, bright.mean))
+    levels = "1 level is" if some.size == 1 else f"{some.size} levels are"
+    return [
+        f"{levels} not used because a part of the pixels is saturated there although the mean is "
+        f"not ({100 * ended:.2g} % of the values at a mean of {mean:.4g} DN): light or gains are "
+        "uneven, so that a saturation capacity is too small. Give a region of even light."
+    ]
 
 
 def rounding_step(amounts: np.ndarray) -> float:

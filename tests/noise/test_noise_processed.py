@@ -8,7 +8,8 @@ import pytest
 from scipy import ndimage
 
 import jaxvision as jv
-from fitting.noise import Camera, from_frames, predict
+from fitting.noise import Camera, calibrate, from_frames, predict
+from fitting.noise.findings import findings as findings_of
 from fitting.noise.prediction.section import findings
 from jaxvision.errors import InputError
 
@@ -262,6 +263,33 @@ def test_light_that_falls_to_the_corners_makes_no_halves():
     ):
         told = findings(predicted(*series(4, shading=shading)))
         assert not any("halves" in one or "quarters" in one for one in told)
+
+
+def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
+    """Light that rises by 30 % to one side; the mean is 10 standard deviations below the end."""
+    flats, darks = series(3, shading=1 + np.linspace(-0.3, 0.3, 64), count=2)
+    measured = from_frames(flats, darks, list(SECONDS), list(PHOTONS), camera=Camera(bits=12))
+    assert measured.clear.all()
+    assert float(measured.bright.ended[-1]) == np.mean(np.array(flats[-1]) == 4095)
+    found, told = calibrate(measured), predict(SENSOR, measured)
+    assert {*range(6)} <= {*found.usable.tolist()} <= {*range(7)}
+    gain = found.shown["system_gain"]
+    assert abs(gain.value - GAIN) < 3 * gain.standard_error < 0.015
+    for sentences in (findings_of(found), findings(told)):
+        assert any("1 level is not used because a part of the pixels" in one for one in sentences)
+        assert not any("lens shading" in one for one in sentences)
+    assert told.judged.missed == []
+
+
+def test_exposures_that_may_be_milliseconds_are_named():
+    flats, darks = series(6, count=2)
+    for scale in (1, 1000):
+        times = list(scale * SECONDS)
+        made = from_frames(flats, darks, times, list(PHOTONS), camera=Camera(bits=12))
+        told = [one for one in findings_of(calibrate(made)) if "read as seconds" in one]
+        assert len(told) == (scale > 1)
+    (current,) = re.findall(r"the dark current is (\S+) e⁻/s, not", told[0])
+    assert float(current) == pytest.approx(CURRENT, abs=3)
 
 
 def test_inverted_numbers_are_named():

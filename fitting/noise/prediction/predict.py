@@ -24,7 +24,7 @@ from ...inference.parameters import names
 from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
-from ..levels import PhotonTransfer, linear_levels
+from ..levels import PhotonTransfer, linear_levels, partly_saturated_in_words
 from ..pattern import fitted_pattern, local_pattern
 from ..periodic import periodic_in_words, periodic_structure
 from ..raw_frames import processing_in_words
@@ -191,6 +191,7 @@ def predict(
             *measurement.bright.left_out,
             *measurement.dark.left_out,
             *measurement.remarks,
+            *partly_saturated_in_words(measurement),
             *_remarks(name, camera, unstated, found),
             *_pattern_in_words(camera, measurement, usable),
             *_structure_in_words(camera, measurement, usable),
