@@ -76,12 +76,27 @@ def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
     return float(np.quantile(found[full] / (6 * expected[full]), SMOOTHEST))
 
 
-def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> bool:
-    """Return whether a frame contains less than half of a pattern, by a regression of the frame's
-    pixel differences on the pattern's. `noise` is the variance of the pattern's error. Differences
-    are multiplied by `weight`."""
+def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> str | None:
+    """Return a clause on how a frame shows a pattern in another place, or an empty clause, if it
+    contains less than half of the pattern in its own place; else None."""
+    if not _holds(frame, pattern, noise, weight)[0]:
+        return None
+    for axis, words in (
+        (1, "left to right"),
+        (0, "top to bottom"),
+        ((0, 1), "in both directions, or turned by 180 degrees"),
+    ):
+        if _holds(frame, np.flip(pattern, axis), np.flip(noise, axis), weight)[1]:
+            return f" where it is, but has it mirrored {words}"
+    return ""
+
+
+def _holds(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> tuple[bool, bool]:
+    """Return whether a frame contains significantly less than half of a pattern, and whether
+    significantly more, by a regression of the frame's pixel differences on the pattern's. `noise`
+    is the variance of the pattern's error. Differences are multiplied by `weight`."""
     if min(frame.shape) < BLOCK + 2:
-        return False
+        return False, False
     weights = np.ravel(_along_both(weight, (1.0, 0.0)))
     own, wanted = (weights * np.ravel(_along_both(x, (1.0, -1.0))) for x in (frame, pattern))
     error = weights**2 * np.ravel(_along_both(noise, (1.0, 1.0)))
@@ -90,7 +105,8 @@ def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> bool:
     square = float(np.sum(wanted**2))
     share = 1 - float(np.sum(error)) / square if square > 0 else 0.0
     if own.size < FEWEST_PAIRS or share < RELIABLE:
-        return False
+        return False, False
     slope = float(np.sum(own * wanted)) / square
     of_slope = 2 * float(np.sum(((own - slope * wanted) * wanted) ** 2)) ** 0.5 / square
-    return slope + SIGMAS * of_slope < GONE * share
+    apart, half = SIGMAS * of_slope, GONE * share
+    return slope + apart < half, slope - apart > half

@@ -478,11 +478,19 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
                 "and the electrons are wrong if the numbers were scaled."
             )
     for name, *planes in _patterns(found, masters, codes, dark):
-        if _processed.lacks(*planes):
+        lacking = _processed.lacks(*planes)
+        if lacking is not None:
+            why = (
+                ": turn it, or the masters"
+                if lacking
+                else (
+                    f": it was corrected by a {name} frame before, or the master is of another camera, "
+                    "region or binning"
+                )
+            )
             _warn(
-                f"raw lacks the pattern of masters.{name}: it was corrected by a {name} frame "
-                "before, or the master is of another camera, region or binning; give raw frames, "
-                "and masters of the same pixels."
+                f"raw lacks the pattern of masters.{name}{lacking}{why}; give raw frames, and "
+                "masters of the same pixels."
             )
 
 

@@ -506,6 +506,15 @@ def test_frames_that_were_processed_are_warned_of():
     assert "lacks the pattern of masters.dark" in told_of(dim, masters=masters)
 
 
+def test_mirrored_frames_are_warned_of():
+    frame, dark, flat = processed_frames()
+    masters = jv.Masters(dark=js.Master(dark[..., None], 64), flat=js.Master(flat[..., None], 64))
+    for axis, words in ((1, "left to right"), (0, "top to bottom"), ((0, 1), "by 180 degrees")):
+        told = told_of(np.flip(frame(), axis), masters=masters)
+        assert re.search(rf"masters.flat where it is, but has it mirrored [^;]*{words}", told)
+    assert "mirrored" not in told_of(np.roll(frame(), (8, 8), (0, 1)), masters=masters)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_raw_frames_of_cameras_are_not_warned_of(seed):
     """Dim and bright, with row noise, dark current, a curve, mixing or a well, over four scenes."""
