@@ -12,6 +12,7 @@ from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
 from .curve import ResponseCurve, ripple
 from .read import unchanged
+from .repeats import FAR
 from .shape import (
     FALSE_ALARM_PROBABILITY,
     LARGEST_STANDARD_ERROR,
@@ -22,12 +23,14 @@ from .shape import (
     largest_departure,
     shapes,
 )
+from .shutter import step_of
 from .solve import ROUGHEST
 
 DRAWN = 0.1  # standard error of ln exposure up to which the figure shows a departure
 CLUSTERED = 2.0  # number of pixels that count as one, from which it is reported
 MOSTLY_SEEN = 0.8  # share of observed codes below which the extrapolated ones are reported
 FEW_FREE = 2  # number of determined shutter errors below which the prior dominates
+LEAST_MOVED = 0.002  # share of an image's pixels that show something else than the others
 SUSPECT_SHUTTER_ERROR = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # standard errors from which a deviation of one image is named
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
@@ -42,7 +45,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     channels = calibration.channels
     found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
-    found += _shutter_in_words(channels)
+    found += [_moved_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
     found += [_busy_in_words(channels), _ripple_in_words(channels)]
@@ -128,6 +131,9 @@ def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
 def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     found = shapes(channels)
     sizes = np.array([shape.size for shape in found])
+    odd = _oddest_time(channels)
+    doubt = f" A wrong exposure time or gain has the same effect: check {odd} first." if odd else ""
+    unsure = f" A wrong exposure time or gain can hide in it: check {odd} first." if odd else ""
     if not np.isfinite(sizes).any():
         return "No code is known well enough to judge how far the response is a pure gamma."
     judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
@@ -146,11 +152,11 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
             return (
                 f"A pure gamma explains the response over {codes}: the measured curve departs from "
                 f"it by up to {size}, which its errors explain. Exposures closer to each other "
-                "would test this more sharply."
+                f"would test this more sharply.{unsure}"
             )
         return (
             f"A pure gamma describes the response over {codes}: the measured curve departs from it "
-            f"by at most {size}, which its errors explain."
+            f"by at most {size}, which its errors explain.{unsure}"
         )
     largest_one = format_percent(np.expm1(shape.significant), decimals=int(shape.pure))
     size = (
@@ -169,8 +175,6 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
         else ""
     )
     many = sum(not one.pure for one in found)
-    odd = _oddest_time(channels)
-    doubt = f" A wrong exposure time or gain has the same effect: check {odd} first." if odd else ""
     if (lowest := _lowest_above_assumed_black(channels)) is not None:
         doubt += f" So has a black level other than the assumed 0 DN; the lowest code is {lowest}."
     return (
@@ -187,6 +191,8 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
         return ""
     worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
     curve, plane = worst.curve, worst.plane
+    if step := exposure_step(worst):
+        return f"aperture, gain and times from {step[0]} on"
     offsets = np.abs(curve.shutter_offsets)
     most = int(np.argmax(offsets))
     clear = offsets[most] > APART_ERRORS * curve.shutter_offset_errors[most]
@@ -194,6 +200,32 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
         return "the stated times and the gains"
     place = int(np.argmin(np.abs(plane.exposures - curve.exposures[most])))
     return f"the time and gain of {plane.files[place]}"
+
+
+def exposure_step(channel: ChannelResponse) -> tuple[str, float] | None:
+    """Return the first image from which on the light is another one than the times state, and the
+    factor, if such a step explains how the images disagree on times; else None."""
+    curve, plane = channel.curve, channel.plane
+    if not (curve.shutter_error or 0.0) > SUSPECT_SHUTTER_ERROR:
+        return None
+    order = np.argsort(curve.exposures)
+    step = step_of(np.log(curve.exposures[order]), curve.shutter_offsets[order])
+    if step is None:
+        return None
+    first = curve.exposures[order][step[0]]
+    place = int(np.argmin(np.abs(plane.exposures - first)))
+    return plane.files[place], float(np.exp(step[1]))
+
+
+def _step_in_words(channels: Sequence[ChannelResponse]) -> str:
+    steps = [step for channel in channels if (step := exposure_step(channel))]
+    if not steps:
+        return ""
+    return (
+        f" From {steps[0][0]} on the light is {steps[0][1]:.3g} times that of the other images at "
+        "the stated times, as with another aperture or gain, or where a time is missing and the "
+        "next ones took its place. Curve and radiance map are wrong by that."
+    )
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -270,6 +302,26 @@ def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
     return f"A held-out exposure is predicted from the others to {', '.join(each)} rms."
 
 
+def _moved_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """Return a finding on pixels at which an image shows something else than the other images; an
+    empty string if there are none."""
+    held = [(c, c.curve.held_out) for c in channels if c.curve.held_out is not None]
+    known = [(c, one) for c, one in held if np.isfinite(one.far).any()]
+    channel, worst = max(known, key=lambda own: np.nanmax(own[1].far), default=(None, None))
+    if channel is None or worst is None or not np.nanmax(worst.far) > LEAST_MOVED:
+        return ""
+    if _oddest_time(channels):  # wrong times shift all codes
+        return ""
+    most = int(np.nanargmax(worst.far))
+    place = int(np.argmin(np.abs(channel.plane.exposures - worst.exposures[most])))
+    return (
+        f"At up to {format_percent(worst.far[most], decimals=1)} of the pixels an image differs "
+        f"from what the others predict by more than {FAR:g} times the usual error, most of all "
+        f"{channel.plane.files[place]}: something moved, or the light of a part of the scene "
+        "changed (or edges were denoised differently). The radiance map is wrong there; mask it."
+    )
+
+
 def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
     worst = max(channels, key=lambda c: c.curve.clustering)
     if not worst.curve.clustering > CLUSTERED:
@@ -278,7 +330,8 @@ def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
         "The errors of neighbouring pixels are correlated: up to "
         f"{worst.curve.clustering:.0f} pixels count as one "
         f"({worst.plane.label or 'the grey channel'}). Causes are misregistration, motion, "
-        "compression, or a response that depends on colour. The error bands are estimated from "
+        "compression, local tone mapping (which gives a wrong curve), or a response that depends "
+        "on colour. The error bands are estimated from "
         "the scatter between parts of the picture and between exposures."
     )
 
@@ -426,6 +479,7 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             "a small misfit of the curve. The intervals include this error, which the channels of "
             "one image share."
             + (f" No shutter is as inaccurate as that: check {odd} first." if odd else "")
+            + _step_in_words(channels)
             + (_own_blacks_in_words(channels) if error > BLACKS else "")
         )
     elif not few:

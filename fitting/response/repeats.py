@@ -30,6 +30,8 @@ from .weights import predicted_weights, weighted_mean, weights_by_code
 FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
 FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, the rest determines another part of the curve
 FALSE_ALARM_PROBABILITY = 0.05  # probability of a false finding of excess variance
+FAR = 12.0  # of the median error of a prediction, from which a pixel shows something else
+LEAST_USUAL = 0.5  # DN, of the median error
 FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out exposure
 
 
@@ -42,10 +44,13 @@ class HeldOut:
         rms: (exposures,) rms error of each prediction, DN; NaN where too few pixels can be
             predicted.
         exposures: (exposures,) s.
+        far: (exposures,) share of pixels whose error is far beyond that of most pixels, as where
+            something moved; NaN likewise.
     """
 
     rms: Float[np.ndarray, " exposures"]
     exposures: Float[np.ndarray, " exposures"]
+    far: Float[np.ndarray, " exposures"]
 
     @property
     def mean(self) -> float:
@@ -125,8 +130,9 @@ def exposure_jackknife(
         return solve([part], log_t[kept], coarse, hyper)
 
     fits = [without(j) for j in range(len(log_t))]
-    rms = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
-    held_out = HeldOut(np.array(rms), np.exp(log_t))
+    found = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
+    rms, far = np.array(found).T
+    held_out = HeldOut(rms, np.exp(log_t), far)
     if len(log_t) < FEWEST_EXPOSURES:
         return None, held_out
     whole = without(None)
@@ -186,8 +192,9 @@ def _prediction_error(
     fit: Solution,
     coarse: CodeBins,
     pilot: Pilot,
-) -> float:
-    """Return the rms difference, DN, of exposure j from its prediction by the others."""
+) -> tuple[float, float]:
+    """Return the rms difference, DN, of exposure j from its prediction by the others, and the share
+    of pixels whose difference is many times the usual one."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule
@@ -200,5 +207,7 @@ def _prediction_error(
     predicted = np.interp(log_irradiance + log_t[j], g, coarse.centres)
     judged = (weights.sum(axis=0) > 0) & (binned[j] >= 0)
     if np.count_nonzero(judged) < FEWEST_PREDICTED:
-        return float("nan")
-    return float(np.sqrt(np.mean((predicted - codes[j])[judged] ** 2)))
+        return float("nan"), float("nan")
+    missed = np.abs(predicted - codes[j])[judged]
+    usual = max(float(np.median(missed)), LEAST_USUAL)
+    return float(np.sqrt(np.mean(missed**2))), float(np.mean(missed > FAR * usual))

@@ -13,7 +13,7 @@ from ..report.section import Columns, Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
 from .curve import ResponseCurve
-from .findings import findings
+from .findings import exposure_step, findings
 from .gamma import GAMMA, SHUTTER_ERROR
 from .shape import Shape, largest_departure, shapes
 
@@ -70,6 +70,10 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
 def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
     """Return the estimates of gamma and the shutter error. If the response is not a pure gamma,
     give the reason instead, because the misfit would bias both."""
+    if step := exposure_step(channel):
+        reason = f"the light changes by a factor of {step[1]:.3g} at {step[0]}, as the findings say"
+        names = (GAMMA, SHUTTER_ERROR)
+        return [not_determined(name, reason, group=channel.plane.label) for name in names]
     if shape.pure:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (

@@ -39,6 +39,9 @@ QUANTILE_TOLERANCE = {"xrtol": 1e-7}  # tolerance of quantiles
 UNINFORMATIVE = 1e-9  # share of the information below which the images do not determine an error
 LEAST = 1e-6  # largest weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom from which they count as infinite
+FEWEST_OF_STEP = 5  # images of a stack in which a step of the exposures is looked for
+LEAST_STEP = 0.1  # logarithm of the exposure
+UNEXPLAINED = 0.02  # largest share of the squared errors that a step leaves
 LEVELS = ndtr(1.0), 0.975
 FREEDOMS = np.geomspace(0.2, MOST_FREE, 400)
 RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
@@ -65,6 +68,25 @@ class Shutter:
     def variance(self) -> Float[np.ndarray, " bins"]:
         """Variance of g at the most likely tau."""
         return self.per_square * self.likeliest**2
+
+
+def step_of(
+    log_t: Float[np.ndarray, " exposures"], offsets: Float[np.ndarray, " exposures"]
+) -> tuple[int, float] | None:
+    """Return the first image, and the logarithm of the factor, of a step in the light of the images
+    that explains their visible errors of ln t (another aperture, or a time that is missing); None
+    if a single step does not explain them."""
+    count, best = len(log_t), None
+    least = UNEXPLAINED * float(np.sum((offsets - offsets.mean()) ** 2))
+    for first in range(2, count - 1) if count >= FEWEST_OF_STEP else ():
+        step = (np.arange(count) >= first).astype(float)
+        design = np.stack([np.ones(count), log_t, step], axis=1)
+        found = np.linalg.lstsq(design, offsets, rcond=None)[0]
+        left = float(np.sum((offsets - design @ found) ** 2))
+        if left < least and abs(found[2]) > LEAST_STEP:
+            # The curve has taken a part of the step as a common exponent.
+            best, least = (first, float(found[2] / (1 + found[1]))), left
+    return best
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:

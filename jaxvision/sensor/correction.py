@@ -480,14 +480,10 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
     for name, *planes in _patterns(found, masters, codes, dark):
         lacking = _processed.lacks(*planes)
         if lacking is not None:
-            why = (
-                ": turn it, or the masters"
-                if lacking
-                else (
-                    f": it was corrected by a {name} frame before, or the master is of another camera, "
-                    "region or binning"
-                )
-            )
+            why = f": it was corrected by a {name} frame before, or the master is of another "
+            why += "camera, region or binning"
+            if lacking:
+                why = ": turn it, or the masters"
             _warn(
                 f"raw lacks the pattern of masters.{name}{lacking}{why}; give raw frames, and "
                 "masters of the same pixels."

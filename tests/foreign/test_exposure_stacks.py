@@ -841,3 +841,61 @@ def test_a_white_balance_that_follows_the_exposure_is_named(power, said):
     )
     assert ("red 1.060" in told and "white balance" in told) == said
     assert "blue" not in told
+
+
+STOPS = tuple(2.0 ** -(9 - i) for i in range(8))
+
+
+def eight_bits(light, seed):
+    """Codes of gamma 2.2 of eight exposures; `light` is that of each image at one second."""
+    rng, codes = np.random.default_rng(seed), []
+    for time, one in zip(STOPS, light, strict=True):
+        electrons = rng.poisson(4e4 * one * time) + rng.normal(0, 8, np.shape(one))
+        codes.append(np.round(255 * np.clip(electrons / 4e4, 0, 1) ** (1 / 2.2)).astype(np.uint8))
+    return codes
+
+
+def smooth_scene(seed):
+    field = gaussian_filter(np.random.default_rng(seed).normal(size=(72, 96)), 5)
+    return 2 * np.exp(1.3 * field / field.std())
+
+
+@pytest.mark.parametrize("way", ["aperture", "missing time"])
+def test_a_step_of_the_light_within_a_bracket_is_named(way):
+    scene = smooth_scene(0)
+    if way == "aperture":
+        images, times = eight_bits([scene * (1 + (i > 3)) for i in range(8)], 1), STOPS
+    else:
+        images, times = eight_bits([scene] * 8, 1), STOPS[:7]
+        del images[4]
+    found = calibrate(from_stack(images, times, camera=Camera(bits=8))).section
+    (said,) = (one for one in found.findings if "From images[4] on the light is 2 times" in one)
+    assert "check aperture, gain and times from images[4] on first" in said
+    (gamma,) = (one for one in found.estimates if one.name == "gamma")
+    assert gamma.value is None
+    assert "a factor of 2 at images[4]" in gamma.reason
+
+
+def test_one_wrong_time_is_no_step_of_the_light():
+    scene = smooth_scene(0)
+    images = eight_bits([scene * (1.5 if i == 3 else 1) for i in range(8)], 1)
+    found = calibrate(from_stack(images, STOPS, camera=Camera(bits=8))).section
+    said = " ".join(found.findings)
+    assert "on the light is" not in said
+    assert "check the time and gain of images[3] first" in said
+
+
+def test_something_that_moves_in_a_bracket_is_named():
+    scene, (row, column) = smooth_scene(0), np.mgrid[:72, :96]
+    body = np.abs(row - 36) < 20
+    moving = [np.where(body & (np.abs(column - 20 - 6 * i) < 8), 0.3, scene) for i in range(8)]
+    ghost = [
+        np.where((i == 4) & (np.abs(row - 36) < 6) & (np.abs(column - 50) < 6), 0.3, scene)
+        for i in range(8)
+    ]
+    for light, named in ((moving, "images"), (ghost, "images"), ([scene] * 8, None)):
+        stack = from_stack(eight_bits(light, 1), STOPS, camera=Camera(bits=8))
+        found = calibrate(stack).section.findings
+        said = [one for one in found if "something moved" in one]
+        assert len(said) == (named is not None)
+        assert all("The radiance map is wrong there" in one for one in said)
