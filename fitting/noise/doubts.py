@@ -101,6 +101,9 @@ def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[flo
 
 
 FEWEST_DRIFTING = 5
+SURE_OF_WARMING = 8.0  # standard errors of the first change
+MOST_CHI_SQUARE = 2.5  # per degree of freedom
+DECAYS = 0.05, 1.0  # of the number of frames, after which a change has decayed to 1/e
 CHANCE_OF_DRIFT = 1e-6  # probability of a false drift for a steady or flickering lamp
 
 
@@ -120,6 +123,9 @@ class Drifting(NamedTuple):
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
     """Return the drift of the flats' signal; None if it is not significant."""
     found = trend_of(measurement, usable)
+    warming = _warming(measurement, usable)
+    if warming is not None:
+        return warming
     if found is None or abs(found.share) < found.error * stdtrit(
         len(usable) - 1, 1 - CHANCE_OF_DRIFT / 2
     ):
@@ -127,9 +133,32 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     return found
 
 
-def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """Return the mean change of the flats' signal from frame to frame within the levels; None where
-    it is unknown."""
+def _warming(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
+    """Return the mean drift of a signal that changes ever more slowly over the levels, as while a
+    lamp warms up; None if the changes within levels are not those of an exponential decay. Random
+    light does not follow one."""
+    shares = _shares_of(measurement, usable)
+    if shares is None:
+        return None
+    share, noise, frames = shares
+    place = np.cumsum(frames) - frames / 2
+    best, least = None, MOST_CHI_SQUARE * (len(share) - 2)
+    for decay in place[-1] * np.geomspace(*DECAYS, 60):
+        falls = np.exp(-place / decay)
+        square = float(np.sum(falls**2 / noise))
+        size = float(np.sum(falls * share / noise)) / square
+        chi_square = float(np.sum((share - size * falls) ** 2 / noise))
+        if chi_square < least and abs(size) * square**0.5 > SURE_OF_WARMING:
+            least, mean = chi_square, float(np.average(falls, weights=frames))
+            best = Drifting(size * mean, mean / square**0.5, int(frames.sum()))
+    return best
+
+
+def _shares_of(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return, for each level, the relative change of the signal from one frame to the next, the
+    variance of this change by the noise of pixels, and the number of frames; None if unknown."""
     bright = measurement.bright
     if bright.trend is None or len(usable) < FEWEST_DRIFTING:
         return None
@@ -140,6 +169,16 @@ def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     squares = frames * (frames**2 - 1) / 12  # sum of squares of the frame order about its mean
     shares = np.asarray(bright.trend)[usable] / signal
     noise = np.asarray(bright.variance)[usable] / float(bright.pixels) / squares / signal**2
+    return shares, noise, frames
+
+
+def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
+    """Return the mean change of the flats' signal from frame to frame within the levels; None where
+    it is unknown."""
+    found = _shares_of(measurement, usable)
+    if found is None:
+        return None
+    shares, noise, frames = found
     weights = 1 / noise
     share = float(np.sum(weights * shares) / np.sum(weights))
     degrees = len(usable) - 1

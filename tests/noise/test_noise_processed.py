@@ -1,5 +1,6 @@
 """What a camera predicts of frames that were processed, and of other dies of the same camera."""
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -9,7 +10,9 @@ from scipy import ndimage
 
 import jaxvision as jv
 from fitting.noise import Camera, calibrate, from_frames, predict
+from fitting.noise.doubts import drifting
 from fitting.noise.findings import findings as findings_of
+from fitting.noise.levels import linear_levels
 from fitting.noise.prediction.section import findings
 from jaxvision.errors import InputError
 
@@ -41,6 +44,7 @@ def series(
     dsnu=DSNU,
     shading=1.0,
     count=4,
+    lamp=lambda number: 1.0,
 ):
     """Flats and darks of `count` frames; `process` takes a function that takes the next frame."""
     rng = np.random.default_rng(seed)
@@ -49,9 +53,12 @@ def series(
         dsnu * rng.normal(size=(size, size)),
     )
 
+    taken = itertools.count()
+
     def level(photons, seconds):
         def frame():
-            charge = rng.poisson(EFFICIENCY * photons * gains * shading + CURRENT * seconds)
+            now = photons * lamp(next(taken))
+            charge = rng.poisson(EFFICIENCY * now * gains * shading + CURRENT * seconds)
             charge = charge + offsets + READ * rng.normal(size=gains.shape)
             return np.clip(np.round(gain * charge + BLACK), 0, 4095)
 
@@ -279,6 +286,30 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
         assert any("1 level is not used because a part of the pixels" in one for one in sentences)
         assert not any("lens shading" in one for one in sentences)
     assert told.judged.missed == []
+
+
+def test_a_lamp_that_warms_up_is_no_curved_response():
+    """By 6 %, with a decay over 10 frames."""
+    flats, darks = series(1, lamp=lambda number: 1 - 0.06 * np.exp(-number / 10))
+    made = from_frames(flats, darks, list(SECONDS), list(PHOTONS), camera=Camera(bits=12))
+    found = drifting(made, linear_levels(made))
+    mean = 0.06 * (1 - np.exp(-32 / 10)) / 32
+    assert found.share == pytest.approx(mean, abs=4 * found.error + 0.05 * mean)
+    calibration = calibrate(made)
+    gain = calibration.shown["system_gain"]
+    assert abs(gain.value - GAIN) < 3 * gain.standard_error < 0.01
+    told = " ".join(findings_of(calibration))
+    assert "as when a lamp or a camera warms up" in told
+    assert "not linear: the gain" not in told
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.001, 0.01])
+def test_light_that_flickers_does_not_warm_up(flicker):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        frames = series(seed, lamp=lambda number, rng=rng: 1 + flicker * rng.normal())
+        made = from_frames(*frames, list(SECONDS), list(PHOTONS), camera=Camera(bits=12))
+        assert drifting(made, linear_levels(made)) is None
 
 
 def test_exposures_that_may_be_milliseconds_are_named():
