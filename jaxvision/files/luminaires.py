@@ -29,6 +29,10 @@ FOOT = 0.3048  # m
 MAX_ANGLES = 5000  # largest number of vertical or horizontal angles
 RATIO = 0.05  # allowed deviation from a stated light output ratio, for a coarse grid of angles
 MAX_OUTPUT = 1.2  # largest light output over the lamps' lumens, with a ballast's factor
+MIN_OUTPUT = 0.05  # smallest light output over the lamps' lumens: snoots have more
+EFFICACY = 1.0, 400.0  # lm W^-1, of any lamp: a weak filament behind glass, and beyond any LED
+OPENING = 0.001, 10.0  # m, from which an opening seems to be in another unit
+SAME = 0.02  # of the largest candela, between values that describe one direction
 _BRIGHTEST = 1e9  # cd, the largest plausible intensity: a lighthouse has about 1e6
 _SQUARE_SIDE = math.sqrt(math.pi / 4)
 
@@ -178,6 +182,7 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
     numbers.end()
     if system == "C":
         _check_polar(numbers, vertical)
+        _warn_of_contradictions(path, vertical, horizontal, table)
         horizontal, table = _whole_turn(numbers, horizontal, table)
     else:
         if columns > 1 and horizontal[0] == 0:
@@ -207,6 +212,26 @@ def _check_polar(numbers: _Numbers, vertical: np.ndarray) -> None:
             f"vertical angles run from {vertical[0]:g} to {vertical[-1]:g} degrees, where a lamp "
             "of type C begins at 0 or 90 and ends at 90 or 180; add the angles that are missing."
         )
+
+
+def _warn_of_contradictions(
+    path: Path, vertical: np.ndarray, horizontal: np.ndarray, table: np.ndarray
+) -> None:
+    """Warn about values of one direction that differ: at the poles, and at 0 and 360 degrees."""
+    cases = [
+        (f"all planes at a vertical angle of {angle:g} degrees", table[row])
+        for angle, row in ((vertical[0], 0), (vertical[-1], -1))
+        if angle in (0, 180)
+    ]
+    if horizontal[-1] - horizontal[0] == 360:
+        cases.append(("the planes at 0 and 360 degrees", table[:, [0, -1]].T))
+    for which, values in cases:
+        off = np.ptp(values, axis=0).max()
+        if off > SAME * np.abs(table).max():
+            warn(
+                f"{path}: {which} describe the same direction, and differ by up to {off:.4g} cd; "
+                "its angles or the order of its candela values are wrong."
+            )
 
 
 def _whole_turn(
@@ -276,7 +301,13 @@ def _lamp(
     angles = np.radians(vertical), np.radians(horizontal)
     lamp = Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
     leaves = LUMINOUS_EFFICACY * float(flux(goniometric_light(lamp, [0.0, 0.0, 0.0]))[0])
-    if leaves > MAX_OUTPUT * lumens:
+    widest = float(np.abs(opening).max())
+    if widest > OPENING[1] or 0 < widest < OPENING[0]:
+        warn(
+            f"{numbers.path}: its luminous opening is {widest:.3g} m wide, as if its size were in "
+            "another unit (EULUMDAT has millimetres, IES feet or metres); correct it."
+        )
+    if leaves > MAX_OUTPUT * lumens or leaves < MIN_OUTPUT * lumens:
         warn(
             f"{numbers.path}: {leaves:.4g} lm leave a luminaire whose lamps give {lumens:.4g} lm; "
             "its candela values, their multiplier or the lamps' lumens are wrong."
@@ -286,6 +317,12 @@ def _lamp(
             f"{numbers.path}: states a light output ratio of {stated:g} % (line 23), and its "
             f"intensities send {100 * leaves / lumens:.3g} % of its lamps' {lumens:.4g} lm; one of "
             "them is wrong."
+        )
+    elif watts > 0 and not EFFICACY[0] <= leaves / watts <= EFFICACY[1]:
+        warn(
+            f"{numbers.path}: {leaves:.4g} lm leave a luminaire of {watts:.4g} W, "
+            f"{leaves / watts:.2g} lm/W; its candela values, their multiplier, the lamps' lumens "
+            "or its watts are wrong."
         )
     return lamp
 

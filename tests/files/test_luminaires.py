@@ -106,6 +106,7 @@ def test_old_files_have_a_further_factor_and_round_openings_a_minus(tmp_path):
 def test_symmetric_planes_are_filled_in(planes, mirrors, tmp_path):
     rng = np.random.default_rng(0)
     table = rng.uniform(100, 900, (len(planes), 3))
+    table[:, 0] = 500  # one direction
     if planes[-1] == 360:
         table[-1] = table[0]
     lamp = read(tmp_path, ies(table=table, vertical=[0, 45, 90], horizontal=planes, lumens=-1))
@@ -176,6 +177,38 @@ def test_light_that_the_lamps_do_not_have_is_told(tmp_path):
     planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
     with pytest.warns(UserWarning, match=r"ratio of 85 % .*, and its intensities send 99.9 % of"):
         read(tmp_path, eulumdat(1, planes, table, ratio=85), "lamp.ldt")
+
+
+def turned(last):
+    """Planes at 0 to 360 degrees, the last of which is multiplied by a number."""
+    return np.outer([1, 1, 1, 1, last], COSINE)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "words"),
+    [
+        (ies(lumens=100_000), "a.ies", r"3\d+ lm leave a luminaire whose lamps give 1e\+05 lm"),
+        (ies(lumens=-1, multiplier=100), "a.ies", r"luminaire of 40 W, 7.8e\+03 lm/W"),
+        (eulumdat(1, [0], COSINE / np.pi, lumens=1), "a.ldt", r"W, 0.056 lm/W"),
+        (ies(opening="60 60 0"), "a.ies", "opening is 60 m wide, as if its size were in another"),
+        (
+            ies(table=turned(0.5), horizontal=[0, 90, 180, 270, 360]),
+            "a.ies",
+            "the planes at 0 and 360 degrees describe the same direction, and differ by up to 500",
+        ),
+        (
+            ies(table=np.stack([COSINE, np.roll(COSINE, 1)]), horizontal=[0, 90]),
+            "a.ies",
+            "all planes at a vertical angle of 0 degrees describe the same direction",
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")  # some have two faults
+def test_numbers_of_no_lamp_are_named(text, name, words, tmp_path):
+    """Intensities per kilolumen without their lamps, kilolumens for lumens, millimetres for metres,
+    and a table whose order contradicts its angles: all were read without a word."""
+    with pytest.warns(UserWarning, match=words):
+        read(tmp_path, text, name)
 
 
 @pytest.mark.parametrize(
