@@ -24,6 +24,7 @@ from jaxvision import ArrayLike
 from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
 
+from ..codes import converter_of
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_with_error
@@ -128,7 +129,10 @@ def calibrate(
         outline_of(ball, lens, sd=outline_sd, name=f"masks[{i}]") for i, ball in enumerate(balls)
     ]
     black, clip = camera.black_level or 0.0, camera.clip_level
-    top = None if camera.saturation is not None else _clips_at(readings)
+    top = None
+    if camera.saturation is None:  # a matte ball has many pixels near its largest reading
+        matte = kind == "matte"
+        top = converter_of(np.stack(readings)).clips_at if matte else _clips_at(readings)
     signals = np.stack(readings) - black
     clipped: tuple[str, ...] = ()
     if top is not None and top < clip:

@@ -97,6 +97,8 @@ def shading_of(
     if floor != 0:
         signals, clip = signals - floor, clip - floor
         found = _shading(signals, ball, clip, outline, names)
+    if abs(floor) <= SMALL * np.linalg.norm(found.g, axis=1).max():
+        floor = 0.0  # subtracted, and too small to be reported
     found = replace(found, floor=floor, **seen)
     free = _shading(signals, ball, clip, outline, names, free_power=True)
     found = replace(found, power=free.power, power_sd=free.power_sd)
@@ -121,7 +123,7 @@ def _unlit_side(
     outline: Outline,
 ) -> tuple[float, dict[str, Any]]:
     """Return the level of the unlit side, where n.l < 0, in DN, and `tilt` and `unlit` of
-    `Shading`. The level is 0, and the tilt None, if it is small or within its standard error.
+    `Shading`. The level is 0 if it is within its standard error, and the tilt None if it is small.
     """
     rows, columns = np.nonzero(ball)
     pixels = np.stack([columns, rows], axis=1).astype(float)
@@ -135,7 +137,7 @@ def _unlit_side(
         return 0.0, {}
     of_light = np.full(len(readings), np.nan)
     of_light[kept] = [
-        np.median(line[at]) for line, at in zip(readings[kept], unlit[kept], strict=True)
+        _middle(line[at]) for line, at in zip(readings[kept], unlit[kept], strict=True)
     ]
     floor, largest = float(np.nanmedian(of_light)), float(size.max())
     spread = 1.4826 * float(np.median(np.abs(readings[kept][unlit[kept]] - floor)))
@@ -148,8 +150,15 @@ def _unlit_side(
     clear = room[1:] @ np.linalg.pinv(covariance) @ room[1:] > SHOWN
     large = np.linalg.norm(room[1:]) > SMALL * largest
     tilt = room[1:] if clear and large else None
-    absent = not abs(floor) > max(4 * sd, SMALL * largest)
+    absent = not abs(floor) > 4 * sd
     return 0.0 if absent else floor, {"tilt": tilt, "unlit": of_light}
+
+
+def _middle(readings: Float[np.ndarray, " pixels"]) -> float:
+    """Return the mean of readings near their median, which is finer than a code."""
+    median = np.median(readings)
+    off = np.abs(readings - median)
+    return float(np.mean(readings[off <= 1 + 3 * 1.4826 * np.median(off)]))
 
 
 def _shading(
