@@ -14,9 +14,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PALETTE = 3  # colour type
-_CHUNKS = b"IHDR sBIT acTL pCAL sCAL gAMA cICP sRGB".split()  # chunks of a few bytes each
+_CHUNKS = b"IHDR sBIT acTL pCAL sCAL gAMA cHRM cICP sRGB".split()  # chunks of a few bytes each
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,67 @@ def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
     if len(code) == 4 and code[1] not in (1, 6, 13, 14, 15):
         curve = {8: "linear", 16: "PQ", 18: "HLG"}.get(code[1], f"number {code[1]}")
         yield f"its transfer curve (cICP: {curve}): codes are as stored"
+    if not kept[b"IHDR"][9] & 2:  # grey
+        return
+    if len(code) == 4 and code[0] != 1:
+        spaces = {9: "Rec. 2020", 11: "DCI-P3", 12: "Display P3"}
+        yield f"its primaries (cICP: {spaces.get(code[0], f'number {code[0]}')})"
+    places = kept.get(b"cHRM", b"")
+    if len(places) == 32 and b"sRGB" not in kept and len(code) != 4:
+        stated = np.frombuffer(places, ">u4") / 1e5
+        if np.abs(stated - _SRGB).max() > 0.01:
+            listed = ", ".join(f"{x:.4g}" for x in stated)
+            yield f"its white and primaries ({listed}; cHRM)"
+
+
+# x, y of white, red, green and blue; XYZ of the primaries under D50, as profiles store them
+_SRGB = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
+_SRGB_D50 = {
+    b"rXYZ": (0.4361, 0.2225, 0.0139),
+    b"gXYZ": (0.3851, 0.7169, 0.0971),
+    b"bXYZ": (0.1431, 0.0606, 0.7141),
+}
+_HALF, _OFF = 0.2140, 0.03  # light of half the largest sRGB code, and deviation that is named
+
+
+def icc_differences(profile: bytes, name: str) -> list[str]:
+    """Describe primaries and a tone curve of an ICC profile (ICC.1:2022) that are not those of
+    sRGB. Profiles of tables are not looked at."""
+    tags: dict[bytes, bytes] = {}
+    count = int.from_bytes(profile[128:132], "big")
+    for i in range(min(count, (len(profile) - 132) // 12)):
+        tag, start, size = struct.unpack(">4sII", profile[132 + 12 * i : 144 + 12 * i])
+        tags[tag] = profile[start : start + size]
+    found, called = [], f"ICC profile{f' {name!r}' if name else ''}"
+    places = {tag: tags[tag] for tag in _SRGB_D50 if len(tags.get(tag, b"")) >= 20}
+    off = [
+        np.abs(np.frombuffer(place, ">i4", 3, 8) / 65536 - _SRGB_D50[tag]).max()
+        for tag, place in places.items()
+    ]
+    if max(off, default=0.0) > _OFF:
+        found.append(f"its primaries ({called}): colours are as stored")
+    half = _light_of_half(tags.get(b"gTRC", tags.get(b"kTRC", b"")))
+    if half is not None and abs(half - _HALF) > _OFF:
+        found.append(
+            f"its tone curve ({called}: half of the largest code is {half:.2g} of the light, "
+            f"where sRGB has {_HALF:.2g}): codes are as stored"
+        )
+    return found
+
+
+def _light_of_half(curve: bytes) -> float | None:
+    """Return the light of half the largest code by a curve of a profile; None without one."""
+    kind, count = curve[:4], int.from_bytes(curve[8:12], "big")
+    if kind == b"para" and len(curve) >= 16:
+        numbers = np.frombuffer(curve, ">i4", (len(curve) - 12) // 4, 12) / 65536
+        slope, offset = numbers[1:3] if curve[8:10] != b"\0\0" and numbers.size > 2 else (1.0, 0.0)
+        return float(max(slope * 0.5 + offset, 0.0) ** numbers[0])
+    if kind != b"curv" or len(curve) < 12:
+        return None
+    values = np.frombuffer(curve, ">u2", min(count, (len(curve) - 12) // 2), 12)
+    if values.size < 2:  # an exponent, or a straight line
+        return float(0.5 ** (values[0] / 256)) if values.size else 0.5
+    return float(np.interp(0.5, np.linspace(0, 1, values.size), values / 65535))
 
 
 _SMALLER_COPIES = (0x010001, 0x010002)  # kinds of entries of the Multi-Picture Format

@@ -31,7 +31,7 @@ from ..core.plain_arrays import plain_array
 from ..errors import InputError, check_utf8, nearest, unwritable
 from . import _tiff_tags as tiff
 from ._heads import PALETTE as PNG_PALETTE
-from ._heads import PngChunks, jpeg_extras, png_chunks, targa_bits
+from ._heads import PngChunks, icc_differences, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
 from ._plain_content import damaged, file_at
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
@@ -468,6 +468,9 @@ def _warn_of_unused(
         unused.append(f"its animation of {chunks.frames} frames: the still picture is read")
     if chunks:
         unused += chunks.scales
+    if (profile := spec.getattribute("ICCProfile")) is not None:
+        name = spec.get_string_attribute("ICCProfile:profile_description")
+        unused += icc_differences(np.asarray(profile, np.uint8).tobytes(), name)
     if kind == "jpeg":
         unused += jpeg_extras(file)
     if page and page.first(tiff.ALPHA) == tiff.MULTIPLIED:

@@ -7,6 +7,8 @@ import zlib
 
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from raw_contents import dng
 
 from jaxvision.errors import InputError
@@ -185,5 +187,84 @@ def test_what_a_png_says_of_its_numbers_is_named(chunk, words, tmp_path):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         np.testing.assert_array_equal(read_image(file), [[0, 20, 30], [10, 20, 30]])
+    assert len(said) == (words is not None)
+    assert re.search(words or "", " ".join(str(one.message) for one in said))
+
+
+def _icc(primaries, curve, space=b"RGB "):
+    """A profile of a screen, with the XYZ of its primaries under D50 and one curve."""
+    places = [
+        b"XYZ \0\0\0\0" + struct.pack(">3i", *np.int32(np.array(p) * 65536)) for p in primaries
+    ]
+    curves = [curve + b"\0" * (-len(curve) % 4)] * 3
+    names = [b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC", b"gTRC", b"bTRC"]
+    table, body, start = b"", b"", 128 + 4 + 12 * 6
+    for name, data in zip(names, places + curves, strict=True):
+        table += struct.pack(">4sII", name, start + len(body), len(data))
+        body += data
+    size = struct.pack(">I", start + len(body))
+    head = size + b"none" + bytes([2, 16, 0, 0]) + b"mntr" + space + b"XYZ " + bytes(12) + b"acsp"
+    head += bytes(28) + struct.pack(">3i", 63190, 65536, 54061)
+    return head.ljust(128, b"\0") + struct.pack(">I", 6) + table + body
+
+
+SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))
+ADOBE = ((0.6097, 0.3111, 0.0195), (0.2053, 0.6257, 0.0609), (0.1492, 0.0632, 0.7446))
+LINES = {  # u8Fixed8 exponents, a table, and a function
+    "2.2": b"curv\0\0\0\0" + struct.pack(">IH", 1, 563),
+    "1": b"curv\0\0\0\0" + struct.pack(">I", 0),
+    "1.8": b"curv\0\0\0\0"
+    + struct.pack(">I257H", 257, *np.int64(65535 * np.linspace(0, 1, 257) ** 1.8)),
+    "sRGB": b"para\0\0\0\0\0\3\0\0"
+    + struct.pack(
+        ">5i", *(round(65536 * x) for x in (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045))
+    ),
+}
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "tif"])
+@pytest.mark.parametrize(
+    ("primaries", "curve", "words"),
+    [
+        (SRGB, "sRGB", None),
+        (SRGB, "2.2", None),
+        (ADOBE, "2.2", r"not used: its primaries \(ICC profile"),
+        (
+            SRGB,
+            "1",
+            r"not used: its tone curve \(ICC profile.*: half of the largest code is 0.5 of",
+        ),
+        (SRGB, "1.8", r"largest code is 0.29 of the light, where sRGB has 0.21\)"),
+    ],
+)
+def test_colours_of_a_profile_that_are_not_those_of_srgb_are_named(
+    primaries, curve, words, suffix, tmp_path
+):
+    codes = np.full((16, 16, 3), 128, np.uint8)
+    file = tmp_path / f"a.{suffix}"
+    Image.fromarray(codes).save(file, icc_profile=_icc(primaries, LINES[curve]))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(file), codes)
+    assert len(said) == (words is not None)
+    assert re.search(words or "", " ".join(str(one.message) for one in said))
+
+
+@pytest.mark.parametrize(
+    ("chunk", "words"),
+    [
+        ((b"cHRM", (31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)), r"0\.06; cHRM\)"),
+        ((b"cHRM", (31270, 32900, 64000, 33000, 30000, 60000, 15000, 6000)), None),
+        ((b"cICP", (12, 13, 0, 1)), r"its primaries \(cICP: Display P3\)"),
+    ],
+)
+def test_primaries_of_a_png_that_are_not_those_of_srgb_are_named(chunk, words, tmp_path):
+    name, numbers = chunk
+    info, file = PngInfo(), tmp_path / "a.png"
+    info.add(name, bytes(numbers) if name == b"cICP" else struct.pack(">8I", *numbers))
+    Image.fromarray(np.full((4, 4, 3), 99, np.uint8)).save(file, pnginfo=info)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        read_image(file)
     assert len(said) == (words is not None)
     assert re.search(words or "", " ".join(str(one.message) for one in said))
