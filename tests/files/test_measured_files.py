@@ -2,7 +2,9 @@
 mistake in a file reported in one sentence.
 """
 
+import re
 import struct
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -356,3 +358,18 @@ def test_a_colour_of_a_merl_file_that_ends_in_zeros_is_named(tmp_path):
     files.write_merl(tmp_path / "cut.binary", HalfDifferenceTable(jnp.asarray(values)))
     with pytest.warns(UserWarning, match="blue ends in zeros, 12% of its bins"):
         files.read_merl(tmp_path / "cut.binary")
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1, None), (1 / 1500, r"reflects 0\.02 % of the light"), (12, r"reflects 3\.6e\+02 % of the")],
+)
+def test_a_merl_file_in_another_unit_is_named(factor, words, tmp_path):
+    """A matt surface of albedo .3, with the scale of the database left out or applied twice."""
+    table = jnp.full((90, 90, 180, 3), factor * 0.3 / np.pi, jnp.float32)
+    files.write_merl(tmp_path / "a.binary", HalfDifferenceTable(table))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        files.read_merl(tmp_path / "a.binary")
+    assert len(said) == (words is not None)
+    assert re.search(words or "", " ".join(str(one.message) for one in said))

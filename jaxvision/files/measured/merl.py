@@ -25,6 +25,9 @@ from ..images import replaced_on_success
 from ._contents import contents_of, representable
 
 _PADDING_SHARE = 0.02  # share of zeros at the end of a colour, above which it is not a measurement
+DARKEST, BRIGHTEST = 5e-4, 1.5  # albedos of materials, with the errors of measured ones
+OF_DATABASE = (90, 90, 180)  # bins of its files; tables of other sizes may hold anything
+ANGLES = 90  # of the sum for the albedo
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
@@ -93,7 +96,26 @@ def read_merl(
         values = _nearest_valid(values, valid)
     else:
         values = np.where(valid[..., None], values, 0)
+    if shape == OF_DATABASE:
+        _name_implausible(file, values)
     return HalfDifferenceTable(jnp.asarray(values))
+
+
+def _name_implausible(file: Path, values: np.ndarray) -> None:
+    """Warn if a surface lit along its normal reflects more light than it receives, or none that is
+    seen. The half and difference angles of (normal, wo) are both half the angle of wo."""
+    angles = (np.arange(ANGLES) + 0.5) * (np.pi / 2 / ANGLES)
+    share = angles / np.pi  # of 90 degrees
+    half = (np.sqrt(share) * values.shape[0]).astype(int)
+    seen = values[half, (share * values.shape[1]).astype(int)].mean(axis=1)
+    weights = np.pi * np.sin(2 * angles) * (np.pi / 2 / ANGLES)
+    albedo = float((weights @ seen).max())
+    if not DARKEST <= albedo <= BRIGHTEST:
+        warn(
+            f"{file}: along the normal the surface reflects {100 * albedo:.2g} % of the light, "
+            "which no material does. MERL files hold numbers that are multiplied by 1/1500 (red), "
+            "1.15/1500 (green) and 1.66/1500 (blue); this one may be in another unit."
+        )
 
 
 def _name_padding(file: Path, stored: np.ndarray) -> None:
