@@ -353,7 +353,9 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
         )
     own_names = [spec.channelnames[i].rpartition(".")[2] for i in chosen]
     if picture == "xyz":
-        warn(f"{file}: holds CIE X, Y and Z, not R, G and B; they are given as they are.")
+        layer = spec.channelnames[chosen[0]].rpartition(".")[0]
+        what = f"{layer}.X, {layer}.Y and {layer}.Z" if layer else "CIE X, Y and Z"
+        warn(f"{file}: holds {what}, not R, G and B; they are given as they are.")
     if picture not in ("rgb", "y"):
         return chosen, tuple(own_names)
     return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)

@@ -26,7 +26,6 @@ from ._multigrid import coarsen, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
 ROUNDING = 0.5  # of the square of the largest light and the unit in the last place: least epsilon
-FLAT = 10.0  # ratio of the picture's variance to epsilon below which it is reported
 STEPS = 500  # largest number of steps of the solver
 
 
@@ -164,9 +163,9 @@ def _warn_of_no_effect(
             return
     if is_known(image) and is_known(epsilon):
         spread = np.asarray(image, float).std(axis=(0, 1)).max()
-        if spread**2 < FLAT * float(epsilon):
+        if spread**2 < float(epsilon):
             warn_caller(
-                f"The picture varies by {spread:.2g} about its mean, which is little beside the "
+                f"The picture varies by {spread:.2g} about its mean, which is less than the "
                 f"square root of epsilon = {float(epsilon):.2g}, so alpha hardly depends on it; "
                 "scale the picture to about 1, or give a smaller epsilon."
             )

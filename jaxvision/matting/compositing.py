@@ -136,7 +136,8 @@ def _partly_covered(layer: Layer, most: float) -> tuple[np.ndarray, np.ndarray] 
     picture is known, has enough of them, and has no light above 1."""
     if not is_known(layer) or layer.ndim < 3:
         return None
-    light, covered = np.asarray(layer[..., :-1]).max(axis=-1), np.asarray(layer[..., -1])
+    pixels = np.asarray(layer)
+    light, covered = pixels[..., :-1].max(axis=-1), pixels[..., -1]
     at = (covered > 0) & (covered < most)
     if at.sum() < SEVERAL or not light.max() <= 1:
         return None

@@ -489,9 +489,13 @@ def test_the_head_of_an_exr_holds_any_seed(tmp_path, seed):
     assert int(oiio.ImageInput.open(str(file)).spec().getattribute("seed")) == seed
 
 
-def test_xyz_is_named(tmp_path):
-    write_exr(tmp_path / "a.exr", ["X", "Y", "Z"])
-    with pytest.warns(UserWarning, match="holds CIE X, Y and Z, not R, G and B"):
+@pytest.mark.parametrize(
+    ("layer", "called"), [("", "CIE X, Y and Z"), ("N.", r"N\.X, N\.Y and N\.Z")]
+)
+def test_xyz_is_named(layer, called, tmp_path):
+    """Three channels X, Y and Z of a layer are normals or places, not colours."""
+    write_exr(tmp_path / "a.exr", [layer + name for name in "XYZ"])
+    with pytest.warns(UserWarning, match=f"holds {called}, not R, G and B"):
         assert read_channels(tmp_path / "a.exr")[1] == ("X", "Y", "Z")
 
 
