@@ -3,6 +3,7 @@ that of its number in the file."""
 
 import base64
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -147,3 +148,77 @@ def test_textures_of_mitsuba_that_are_not_read_are_named(tmp_path):
         (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{parts}</scene>')
         with pytest.raises(InputError, match=words):
             read_scene(tmp_path / "a.xml")
+
+
+def relief(size=32):
+    """Heights of bumps in a picture whose rows run down, as codes of normals with y up."""
+    row, column = np.mgrid[:size, :size] / size
+    spots = np.random.default_rng(4).uniform(0.2, 0.8, (6, 2))
+    height = sum(0.02 * np.exp(-((row - r) ** 2 + (column - c) ** 2) / 0.01) for r, c in spots)
+    down, right = np.gradient(height, 1 / size)
+    normals = np.stack([-right, down, np.ones_like(height)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.round(255 * (normals + 1) / 2).astype(np.uint8)
+
+
+REVERSED = np.array([0, 255, 0]) + np.array([1, -1, 1]) * relief().astype(int)
+UP = "uv = [[1, 0, 0], [0, -1, 1]]"  # the first row lies along the end of edge_v
+
+
+def quad(tmp_path, normals):
+    """A square of 1 m under the table of its normal map."""
+    head, _, rest = BALL.partition("[[surface]]")
+    shape = 'shape = "quad"\ncorner = [0, 0, 0]\nedge_u = [1, 0, 0]\nedge_v = [0, 1, 0]\n'
+    shape += f'material = "grey"\nnormals = {{ {normals} }}\n'
+    light = rest[rest.index("[[light]]") :]
+    (tmp_path / "a.toml").write_text(f"{head}[[surface]]\n{shape}{light}")
+    (surface,) = read_scene(tmp_path / "a.toml").scene.surfaces
+    return surface
+
+
+@pytest.mark.parametrize(
+    ("codes", "more", "named"),
+    [(relief(), UP, False), (REVERSED, UP, True), (REVERSED, "", False), (relief(), "", True)],
+)
+def test_a_relief_whose_y_axis_is_reversed_is_named(codes, more, named, tmp_path):
+    """Where nothing is named, the radiance of the quad is that of the relief in the world."""
+    write_image(tmp_path / "n.png", codes.astype(np.uint8))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        surface = quad(tmp_path, 'map = "n.png"' + (", " + more if more else ""))
+    assert any("only if their y axis is reversed" in str(one.message) for one in said) == named
+    if named:
+        return
+    toward = np.array([0.6, 0.5, 0.6245]) / np.linalg.norm([0.6, 0.5, 0.6245])
+    scene = jv.as_dtype(jv.Scene((surface,), (jv.DirectionalLight(toward, [1.0] * 3),)), "float32")
+    rows, columns = np.array([12, 22, 8]), np.array([9, 15, 20])
+    x, y, z = (2 * (relief()[rows, columns] / 255) - 1).T  # y up in the picture
+    up = 1 if more else -1  # else the picture stands on its head, and its bumps stay bumps
+    wanted = (np.stack([x, up * y, z], axis=-1) @ toward) / np.sqrt(x**2 + y**2 + z**2)
+    across, down = (columns + 0.5) / len(codes), (rows + 0.5) / len(codes)
+    for u, v, expected in zip(across, 1 - down if more else down, wanted, strict=True):
+        ray = jv.as_dtype(jv.Ray([u, v, 3], [0, 0, -1]), "float32")
+        seen = float(jv.radiance_along(scene, ray)[0])
+        np.testing.assert_allclose(seen, expected * 0.2 / np.pi, rtol=2e-3)
+
+
+def test_maps_that_hold_no_normals_are_named_and_signed_ones_read(tmp_path):
+    """Components below 0 in a floating picture were doubled: z of 1 beside x of -1."""
+    normals = 2 * (relief() / 255) - 1
+    write_image(tmp_path / "n.exr", normals.astype(np.float32))
+    found = quad(tmp_path, f'map = "n.exr", {UP}').normals.values
+    np.testing.assert_allclose(found, normals, atol=1e-3)
+    heights = np.full((16, 16, 3), 60, np.uint8)
+    heights[:4] = 200
+    write_image(tmp_path / "h.png", heights)
+    with pytest.warns(UserWarning, match="75% of the normals of its map point into the surface"):
+        quad(tmp_path, 'map = "h.png"')
+
+
+@pytest.mark.filterwarnings("ignore:.*its coat")
+@pytest.mark.parametrize(("codes", "named"), [(relief(), False), (REVERSED, True)])
+def test_normals_of_directx_in_gltf_are_named(codes, named, tmp_path):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        textured(tmp_path, codes.astype(np.uint8), normalTexture={"index": 0})
+    assert any("only if their y axis is reversed" in str(one.message) for one in said) == named

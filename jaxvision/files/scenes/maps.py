@@ -17,13 +17,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core._types import NOT_NEGATIVE
+from ...core._warnings import warn
 from ...errors import InputError
 from ...point_ops import srgb_decode
-from ...scene import Map
+from ...scene import Map, Quad, Shape, TriangleMesh
 from ..images import read_image
 from .bands import Bands
 from .folder import Folder
 
+INWARD = 0.05  # share of normals that point into the surface
+STEEPEST = 0.1  # least z of a normal whose slope is used
+CELLS = 50  # of 2 x 2 texels, least
+REVERSED = 4.0  # ratio of the curl to that with a reversed y axis
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
@@ -41,7 +46,8 @@ def make_map(
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
     """Make a map from the keys of its table in a scene file, in the unit of the number that the map
-    replaces. A map from a picture may have the key `encoding`, and the key `channel`, which is the
+    replaces. A picture of normals holds (n + 1) / 2, or n itself if it has numbers below 0.
+    A map from a picture may have the key `encoding`, and the key `channel`, which is the
     index of one channel, from 0. By default, a map of a spectrum uses all channels of the picture
     except alpha, and a map of one number uses their luminance. Raise `InputError` if the number of
     channels does not fit the spectrum.
@@ -86,7 +92,44 @@ def make_map(
             f"a map holds {kind} where {count} bands of their own are wanted; render the scene in "
             "RGB, or give texels with those bands."
         )
-    if stands_for == "normal" and map is not None:
-        values = 2 * values - 1
+    if stands_for == "normal" and map is not None and values.min() >= 0:
+        values = 2 * values - 1  # else a floating picture holds the components themselves
     values = np.broadcast_to(values * scale, (*values.shape[:2], count))
     return Map(values[..., 0] if stands_for == "number" else values, uv, wrap=wrap)
+
+
+def name_doubtful_normals(where: str, shape: Shape, normals: Map) -> None:
+    """Warn about a map whose numbers are no normals: many point into the surface, or their slopes
+    belong to a relief only if the y axis is reversed. The slopes of a relief have no curl."""
+    values = np.asarray(normals.values, float)
+    if (inward := float(np.mean(values[..., 2] <= 0))) > INWARD:
+        warn(
+            f"{where}: {inward:.0%} of the normals of its map point into the surface (z up to 0), "
+            "as in a map of heights, of normals in other axes, or with another order of channels."
+        )
+        return
+    uv = np.eye(2, 3) if normals.uv is None else np.asarray(normals.uv)
+    if not isinstance(shape, Quad | TriangleMesh) or uv.shape == (2, 4):
+        return
+    turned = uv[:, :2]
+    if turned[0, 1] or turned[1, 0] or (isinstance(shape, TriangleMesh) and turned[1, 1] < 0):
+        return
+    right, down = np.sign(turned[0, 0]), np.sign(turned[1, 1])
+    if isinstance(shape, TriangleMesh):
+        down = -1  # y is up in the picture
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = -values[..., :2] / np.maximum(values[..., 2:], STEEPEST) * [right, down]
+    cells = [slopes[:-1, :-1], slopes[:-1, 1:], slopes[1:, :-1], slopes[1:, 1:]]
+    if cells[0].shape[0] * cells[0].shape[1] < CELLS:
+        return
+    first = (cells[2] + cells[3] - cells[0] - cells[1])[..., 0]  # of the slope to the right, down
+    second = (cells[1] + cells[3] - cells[0] - cells[2])[..., 1]
+    curl, reversed_curl = float(np.sum((first - second) ** 2)), float(np.sum((first + second) ** 2))
+    if curl > REVERSED * reversed_curl > 0:
+        warn(
+            f"{where}: the normals of its map belong to a relief only if their y axis is reversed: "
+            "bumps become hollows from above or below. Files of DirectX have y down in the "
+            "picture; those of OpenGL and glTF have it up, as a mesh needs it. On a quad y points "
+            "along its second edge, so that uv = [[1, 0, 0], [0, -1, 1]] puts a picture upright. "
+            "Reverse the green channel, or the picture."
+        )

@@ -50,7 +50,7 @@ from ..meshes import read_mesh
 from ..records import Key, Reading, chosen, keys_of, value_of, values_of
 from .bands import Bands, Quantity, band_values, reduction, spectrum_of
 from .folder import Folder
-from .maps import make_map
+from .maps import make_map, name_doubtful_normals
 
 Point = Float[np.ndarray, "3"]
 Axes = Float[np.ndarray, "3 3"]
@@ -423,7 +423,10 @@ def surface_of(
     if word == "mesh":
         wanted = mapped(more["material"]) or "normals" in more
         values |= {"file": folder.file(values["file"]), "dtype": dtype, "uv": wanted}
-    return make(**values), more
+    shape = make(**values)
+    if more.get("normals") is not None:
+        name_doubtful_normals(where, shape, more["normals"])
+    return shape, more
 
 
 def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
