@@ -44,7 +44,7 @@ from .inference.candidates import (
     Choice as Choice,
 )
 from .inference.channels import (
-    by_channel as by_channel,
+    stack_channels as stack_channels,
 )
 from .inference.design import (
     Plan as Plan,

@@ -338,14 +338,14 @@ def demo(options: Options) -> None:
     options = replace(options, out=out)
 
     def calibrate_demo(reporter: Reporter) -> folders.Found:
-        from .demo.compare import calibrate_lab, with_truth
+        from .demo.compare import calibrate_lab, mark_truth
         from .demo.lab import simulate_lab
         from .demo.section import against_truth
 
         with reporter.step("simulating the lab") as progress:
             truth = simulate_lab(out / "lab", seed=options.seed, progress=progress)
         sections = calibrate_lab(out / "lab", reporter.step, options.draws)
-        marked = (with_truth(found, truth) for found in sections)
+        marked = (mark_truth(found, truth) for found in sections)
         return [against_truth(sections, truth), *marked], {}
 
     run("A simulated lab afternoon", out, options, calibrate_demo)

@@ -90,11 +90,11 @@ class Converter:
             return 0.0
         # A signal meets wide steps (1 + d) more often than narrow ones (1 - d): the mean of w^3.
         one = self.width**2 * (1 + 3 * self.imbalance**2) / 12
-        again = 0.0 if self._whole else 1 / 12
+        again = 0.0 if self._rounded_once else 1 / 12
         return one + again
 
     @property
-    def _whole(self) -> bool:
+    def _rounded_once(self) -> bool:
         """Whether the numbers were rounded once, by the converter and not by software."""
         return (self.even and self.step < 1) or (self.even and self.step == round(self.step))
 

@@ -180,7 +180,7 @@ def run(
         from .inference.trust import cost_in_words
         from .report.console import output, print_section
         from .report.page import as_json, write_report
-        from .report.section import without_short_chains
+        from .report.section import drop_short_chains
 
         kept = options.out is not None
         costs = [cost_in_words(own.posteriors.values(), seconds, typed=True) for own in sections]
@@ -188,7 +188,7 @@ def run(
             replace(own, findings=(*own.findings, *filter(None, (cost,))))
             for own, cost in zip(sections, costs, strict=True)
         ]
-        sections = [without_short_chains(section, kept=kept) for section in sections]
+        sections = [drop_short_chains(section, kept=kept) for section in sections]
         without = [section.failure for section in sections if section.failure]
         if len(without) == len(sections) > 0 and options.out is None:
             raise InputError(without[0])

@@ -132,11 +132,11 @@ def noise(
     from .noise.findings import periodic_findings, unstated_taps
     from .noise.read import read_photon_transfer
     from .noise.section import KIND, TITLE, section
-    from .noise.settings import by_setting
-    from .report.inputs import with_inputs
+    from .noise.settings import split_by_setting
+    from .report.inputs import add_inputs
     from .report.section import Section
 
-    settings = 1 if rig is None else len(by_setting(rig))
+    settings = 1 if rig is None else len(split_by_setting(rig))
     sites = [channel] if rig is None or channel else list(rig.camera.sites)
     if release == "4.0" and settings > 1:
         raise InputError(
@@ -175,7 +175,7 @@ def noise(
         apart, sentences = unstated[0]
         first, *others = _noise_of_sites(apart, step, draws)
         return [replace(first, findings=(*sentences, *first.findings)), *others, *added], {}
-    return [found if rig is None else with_inputs(found, rig, "photon transfer"), *added], {}
+    return [found if rig is None else add_inputs(found, rig, "photon transfer"), *added], {}
 
 
 def _release_4(
@@ -247,7 +247,7 @@ def predict(
     from .noise.read import read_photon_transfer
     from .noise.settings import require_one_setting
     from .noise.sites import camera_of_taps, stated_in_words
-    from .report.inputs import with_inputs
+    from .report.inputs import add_inputs
     from .report.section import section_of_part
 
     taps = read_with_draws(file)[0].taps
@@ -279,7 +279,7 @@ def predict(
             found = section(predicted(file, measurement, light_error=light_error))
         if rig is not None and not sections:
             found = replace(found, findings=(*remarks, *found.findings))
-            found = with_inputs(found, rig, "photon transfer")
+            found = add_inputs(found, rig, "photon transfer")
         if several:
             found = section_of_part(found, site)
         sections.append(found)
@@ -303,7 +303,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
     """Return a section for each site or tap, including taps that the rig does not state."""
     from .noise.findings import periodic_findings, unstated_taps
     from .noise.section import sections_of_sites
-    from .report.inputs import with_inputs
+    from .report.inputs import add_inputs
 
     looked_for = rig.camera.pattern is not None and rig.camera.taps is None
     calibrations, failed = _each_site(rig, step, draws, chains=not looked_for)
@@ -323,7 +323,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
     first, *others = sections_of_sites(calibrations, rig.camera)
     sentences = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
     first = replace(first, findings=(*sentences, *first.findings))
-    return [with_inputs(first, rig, "photon transfer"), *others]
+    return [add_inputs(first, rig, "photon transfer"), *others]
 
 
 def _each_site(
@@ -353,13 +353,13 @@ def _each_site(
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
     """Return, for each site, a section over all settings and one for each."""
     from .noise.across_settings.section import records_of_sites
-    from .report.inputs import with_inputs
+    from .report.inputs import add_inputs
     from .report.section import section_of_part
 
     sites = (channel,) if channel else rig.camera.sites
     if len(sites) == 1:
         whole, *others = _settings_of_site(rig, step, draws, channel)[0]
-        return [with_inputs(whole, rig, "photon transfer"), *others]
+        return [add_inputs(whole, rig, "photon transfer"), *others]
     found, calibrations = [], {}
     for i, site in enumerate(sites):
         of_one, calibration = _settings_of_site(rig, step, draws, site, word=f"{i}_" if i else "")
@@ -368,14 +368,14 @@ def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "l
             calibrations[site] = calibration
     records = records_of_sites(calibrations, rig.camera)
     first = replace(found[0], kind="noise", records=records)
-    return [with_inputs(first, rig, "photon transfer"), *found[1:]]
+    return [add_inputs(first, rig, "photon transfer"), *found[1:]]
 
 
 def _settings_of_site(
     rig: "Rig", step: Step, draws: Draws, channel: str, *, word: str = ""
 ) -> "tuple[list[Section], CameraCalibration | None]":
     from .noise.across_settings.calibration import calibrate_one, calibrate_settings
-    from .noise.across_settings.section import sections, unread, without_whole
+    from .noise.across_settings.section import sections, sections_without_joint_fit, unread
     from .noise.across_settings.setting import reduce_by_setting
     from .noise.settings import Setting
 
@@ -395,7 +395,7 @@ def _settings_of_site(
             calibration = calibrate_settings(frames, calibrations=own, seed=seed)
             whole, *others = sections(calibration)
         except InputError as error:
-            whole, *others = without_whole(frames, own, str(error))
+            whole, *others = sections_without_joint_fit(frames, own, str(error))
     sentences = tuple(f"{setting.label} was left out: {why}" for setting, why in failed.items())
     whole = replace(whole, findings=(*sentences, *whole.findings)) if sentences else whole
     return [whole, *others, *unread(failed)], calibration
@@ -419,7 +419,7 @@ def response(
         InputError: for data that cannot be calibrated.
     """
     rig = read_rig(path, "a response calibration")
-    from .report.inputs import with_inputs
+    from .report.inputs import add_inputs
     from .response.calibration import calibrate, radiance_images
     from .response.read import read_exposure_stack
     from .response.section import section
@@ -438,7 +438,7 @@ def response(
 
     with step("fitting response") as progress:
         found = _attempted("response", "Camera response", fitted, known=stack.remarks)
-    return [with_inputs(found, rig, "a response calibration")], images
+    return [add_inputs(found, rig, "a response calibration")], images
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -481,7 +481,7 @@ def _photographs(
     """Calibrate from photographs of a known shape. Return one section, or one for each colour of a
     mosaic; `words` are a section's kind, title and progress text.
     """
-    from .report.inputs import with_inputs
+    from .report.inputs import add_inputs
     from .rig import COLOURS
 
     kind, title, doing = words
@@ -503,7 +503,7 @@ def _photographs(
     colours = COLOURS if rig.camera.pattern is not None else ("",)
     first, *others = map(calibrate_colour, colours)
     free = settings.get("fit_gamma", False)
-    first = with_inputs(first, rig, "a reflectance calibration", fit_gamma=free)
+    first = add_inputs(first, rig, "a reflectance calibration", fit_gamma=free)
     if not others:
         return [first]
     rest = zip(others, colours[1:], strict=True)

@@ -230,7 +230,7 @@ class Camera(_Known):
 
     @model_validator(mode="before")
     @classmethod
-    def _with_sensor(cls, content: Any) -> Any:
+    def _insert_sensor(cls, content: Any) -> Any:
         if not isinstance(content, dict) or not isinstance(content.get("sensor"), str):
             return content
         try:

@@ -143,7 +143,7 @@ def rig_of(folder: Path) -> FoundRig:
         check_utf8(file)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
-    pictures, copies = _without_copies([name for name in names if name not in shape])
+    pictures, copies = _drop_copies([name for name in names if name not in shape])
     floating = [name for name in pictures if Path(name).suffix.lower() in FLOAT_FORMATS]
     merged = floating if len(floating) < len(pictures) else []
     images = [_image(folder, name, counted=counted) for name in pictures if name not in merged]
@@ -186,7 +186,7 @@ def rig_of(folder: Path) -> FoundRig:
     return found
 
 
-def _without_copies(names: list[str]) -> tuple[list[str], list[str]]:
+def _drop_copies(names: list[str]) -> tuple[list[str], list[str]]:
     """Leave out thumbnails, and JPEG files beside a file of the same name in another format. Return
     the names that are kept, and sentences on the others."""
     lossy = {name for name in names if Path(name).suffix.lower() in JPEG_FORMATS}

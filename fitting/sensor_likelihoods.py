@@ -88,7 +88,7 @@ class SensorNoise(eqx.Module):
     def draw(self, key: Array, prediction: Array) -> Array:
         """Simulate data, rounded and clipped if the sensor has an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
-        analogue = _without(sensor, "bits")
+        analogue = _drop_fields(sensor, "bits")
         deviation = jnp.sqrt(signal_variance(analogue, prediction))  # without rounding
         signal = Censored(deviation).draw(key, self._mean(prediction))
         bits = sensor.bits
@@ -335,12 +335,12 @@ class SensorCounts(eqx.Module):
     def _electrons(self, prediction: Array) -> Array:
         light = _light("SensorCounts", prediction)
         read = ("gain", "offset", "nonlinearity", "taps")
-        return expected_signal(_without(_record(self.sensor), *read), light)
+        return expected_signal(_drop_fields(_record(self.sensor), *read), light)
 
     def _read(self, mean: Array) -> _Reading:
         sensor, shape, dtype = _record(self.sensor), mean.shape, mean.dtype
         zero, one = jnp.zeros_like(mean), jnp.ones_like(mean)
-        plain = _without(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
+        plain = _drop_fields(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
         gain = amplified(plain, one)
         noise = jnp.sqrt(read_out_variance(sensor, dtype=dtype, shape=shape))
         return _Reading(gain, amplified(sensor, zero), jnp.broadcast_to(noise, shape))
@@ -533,7 +533,7 @@ def _least_slope(sensor: Sensor) -> float:
     return float(jnp.min(slopes))
 
 
-def _without(sensor: Sensor, *fields: str) -> Sensor:
+def _drop_fields(sensor: Sensor, *fields: str) -> Sensor:
     """Return the sensor with some of its fields set to None."""
     parts = attrgetter(*fields)
     none = None if len(fields) == 1 else (None,) * len(fields)

@@ -65,7 +65,7 @@ _WORDS = {
     "chip_size sensor_size": "optics.chip_size",
     "pixel_size sampling_pitch pitch": "pixel_pitch",
     "fill_factor aliasing": "PixelAperture sensor.aperture_mtf",
-    "iso analog_gain analogue_gain": "sensor.at_iso gain",
+    "iso analog_gain analogue_gain": "sensor.set_iso gain",
     "black_level": "offset",
     "qe": "quantum_efficiency",
     "photon_noise poisson_noise": "shot_noise PoissonShotNoise",

@@ -324,19 +324,21 @@ def _light_on_sensor(
     """
     sensor = camera.sensor
     if motion is None:
-        return _seen(renderer, scene, camera.view, sensor.pixel_aperture)
+        return _sample_static(renderer, scene, camera.view, sensor.pixel_aperture)
     if sensor.exposure_time is None:
         raise ValueError("Sensor.exposure_time must be given in seconds for a motion, got None.")
 
     def seen_at(time: Scalar) -> tuple[Image, Image]:
-        return _seen(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)[:2]
+        return _sample_static(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)[
+            :2
+        ]
 
     rows, _ = camera.view.resolution
     light = exposed(sensor.shutter, sensor.exposure_time, seen_at, rows=rows, slots=moments)
     return *light, None
 
 
-def _seen(
+def _sample_static(
     renderer: Any, scene: Scene, view: View, aperture: PixelAperture | None
 ) -> tuple[Image, Image, Image | None]:
     """Return radiance, irradiance and standard error of a static scene, sampled as finely as the

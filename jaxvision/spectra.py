@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .core._arguments import in_range, takes_numbers, warn_caller
+from .core._arguments import takes_numbers, takes_range, warn_caller
 from .core._numerics import difference_of_products, or_one
 from .core._powers import decay, exact
 from .core._types import (
@@ -288,7 +288,7 @@ def rgb_to_reflectance(
 
 
 @takes_numbers
-@in_range(temperature=AMOUNT)
+@takes_range(temperature=AMOUNT)
 def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
     """Return the spectral radiance of a black body by Planck's law: 2 h c^2 / lambda^5 / (exp(h c /
     (lambda k T)) - 1).

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import __version__
 from .core._local_workers import CHECK_SECONDS, local_workers, replace_lost
+from .core._moved import renamed
 from .errors import InputError, install
 from .programs import source_digest
 
@@ -45,6 +46,13 @@ _client: ContextVar["Client | None"] = ContextVar("client", default=None)
 _objects: dict[str, Any] = {}  # in a worker: what its tasks share, by digest; one at a time
 
 
+def __getattr__(name: str) -> Any:
+    new = renamed(f"{__name__}.{name}")
+    if new is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals()[new]
+
+
 @contextmanager
 def cluster(client: "Client") -> Iterator[None]:
     """Return a context in which independent tasks run on the workers of a Dask client.
@@ -63,7 +71,7 @@ def cluster(client: "Client") -> Iterator[None]:
     Example:
         >>> from distributed import Client
         >>> with Client(processes=False, dashboard_address=":0") as client, jv.cluster(client):
-        ...     print(list(jv.tasks.in_order(pow, 2, [1, 2, 3])))
+        ...     print(list(jv.tasks.map_ordered(pow, 2, [1, 2, 3])))
         [2, 4, 8]
     """
     wanted = _environment()
@@ -132,7 +140,7 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
         yield
 
 
-def in_order(
+def map_ordered(
     function: Callable[[Shared, Item], Result],
     shared: Shared,
     items: Iterable[Item],

@@ -14,10 +14,10 @@ import matplotlib.pyplot as plt
 import jaxvision as jv
 from jaxvision.colour_spaces import luminance
 from jaxvision.files import read_scene
-from jaxvision.render_command import with_resolution
+from jaxvision.render_command import change_resolution
 
 box = read_scene("cornell_box")
-view = with_resolution(box.view, (256, 256))
+view = change_resolution(box.view, (256, 256))
 scene, view = jv.as_dtype((box.scene, view), jnp.float32)
 method = jv.Paths(256, 8, strategy="lights")
 traced = jax.jit(partial(jv.path_traced, method=method))(jax.random.key(0), scene, view)

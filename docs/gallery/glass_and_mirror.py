@@ -12,10 +12,10 @@ import matplotlib.pyplot as plt
 
 import jaxvision as jv
 from jaxvision.files import read_scene
-from jaxvision.render_command import with_resolution
+from jaxvision.render_command import change_resolution
 
 table = read_scene("glass_and_mirror")
-scene, view = jv.as_dtype((table.scene, with_resolution(table.view, (270, 480))), jnp.float32)
+scene, view = jv.as_dtype((table.scene, change_resolution(table.view, (270, 480))), jnp.float32)
 tree = jax.jit(partial(jv.ray_traced, rays=16, rule=jv.Quadrature(6)))
 plt.imshow(jv.srgb_encode(tree(scene, view).clip(0, 1)))
 plt.axis("off")

@@ -12,11 +12,11 @@ import matplotlib.pyplot as plt
 import jaxvision as jv
 from jaxvision.colour_spaces import luminance
 from jaxvision.files import read_scene
-from jaxvision.render_command import with_resolution
+from jaxvision.render_command import change_resolution
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
 
 box = read_scene("cornell_box")
-scene, view = jv.as_dtype((box.scene, with_resolution(box.view, (384, 384))), jnp.float32)
+scene, view = jv.as_dtype((box.scene, change_resolution(box.view, (384, 384))), jnp.float32)
 plan = plan_patches(scene, size=0.06)
 
 

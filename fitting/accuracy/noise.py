@@ -21,13 +21,13 @@ from ..noise.levels import PhotonTransfer, linear_levels
 from ..noise.read import reduce_rig
 from ..noise.statement import (
     base_space,
-    fitted,
+    fit_model,
     likelihood_sheet,
+    make_problem,
     noise_data,
     posterior_problem,
-    restated,
+    replace_parameters,
     start_vector,
-    stated,
 )
 from ..noise.usable import check
 from ..noise.window import needed_window, offset_data, window_of
@@ -66,7 +66,7 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         inputs, rows = noise_data(measured, usable, window=window, offsets=offsets)
         standard = eqx.filter_jit(evaluate)(measured, within).values
         space = base_space(measured, within, offsets=offsets)
-        fit = fitted(stated(space, inputs, rows), standard)
+        fit = fit_model(make_problem(space, inputs, rows), standard)
         args = (space, inputs, jnp.zeros(len(rows), bool))
         vector = jnp.asarray(fit.optimum.vector)
         return errors_of_sheet(eqx.filter_jit(likelihood_sheet)(vector, within.saturation, args))
@@ -120,7 +120,7 @@ def _tolerance(calibration: NoiseCalibration) -> Turn:
     estimates of the EMVA standard.
     """
     fit = calibration.chosen
-    problem = restated(fit.problem, fit.space)
+    problem = replace_parameters(fit.problem, fit.space)
     start = start_vector(problem, calibration.standard.values)
     errors = np.sqrt(np.diagonal(fit.covariance))
 

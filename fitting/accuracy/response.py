@@ -46,11 +46,11 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
             bits=stack.bits,
             black=plane.black,
             clip=plane.clip,
-            layout=layout.at(chosen),
+            layout=layout.select(chosen),
             least_error=max(STEADIEST, plane.exposure_sd),
             **more,
         )
-        return _at(curve, judged) / errors
+        return _relative_log_exposure(curve, judged) / errors
 
     def pixels(share: float) -> Compute:
         wanted = max(int(share * every.shape[1]), 1)
@@ -69,7 +69,7 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     }
 
 
-def _at(curve: ResponseCurve, codes: np.ndarray) -> np.ndarray:
+def _relative_log_exposure(curve: ResponseCurve, codes: np.ndarray) -> np.ndarray:
     """Interpolate the log exposure at some codes, linearly in ln code between bins, and subtract
     its value at the middle code.
     """

@@ -127,7 +127,7 @@ def check(
     method = method_of(posterior)
     space = problem.space
     labels = names(space)
-    truths = _prior_quantiles(space) if truth is None else _given(problem, truth)
+    truths = _prior_quantiles(space) if truth is None else _stated_truth(problem, truth)
 
     def simulate(number: int) -> np.ndarray:
         rng = np.random.default_rng([seed, number])
@@ -166,7 +166,7 @@ def _prior_quantiles(space: tuple[Parameter, ...]) -> list[np.ndarray]:
     return [values for values in known if values is not None]
 
 
-def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
+def _stated_truth(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
     """Return the true values that the caller gives, one array of length 1 for each number."""
     if absent := [p.name for p in problem.free if p.name not in truth]:
         raise InputError(f"check: truth names no {', '.join(absent)}; give a value of each.")

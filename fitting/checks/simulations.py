@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 from jaxvision.files.images import replaced_on_success
-from jaxvision.tasks import PROGRAMS, in_order
+from jaxvision.tasks import PROGRAMS, map_ordered
 
 from ..inference.parameters import names, unconstrained_numbers
 from ..inference.posterior import Posterior
@@ -33,7 +33,7 @@ def simulated(
     fits. The fits run on the workers of `jaxvision.cluster` if there are any."""
     rows = np.empty((0, parameters))
     with threadpool_limits(1, user_api="blas"):  # systems are too small for threads
-        if kept is not None and (found := _kept(kept)) is not None:
+        if kept is not None and (found := _read_results(kept)) is not None:
             own = found.ndim == 2 and found.shape[1] == parameters and found.dtype == rows.dtype
             own = own and not np.any((found < 0) | (found > 1))
             some = sorted({0, len(found) // 2, len(found) - 1}) if own and len(found) else []
@@ -44,7 +44,7 @@ def simulated(
                     "(or folder), or remove it."
                 )
             rows = found
-        for row in in_order(
+        for row in map_ordered(
             _places, (simulate, parameters), range(len(rows), count), memory=PROGRAMS
         ):
             rows = np.vstack([rows, row])
@@ -61,7 +61,7 @@ def simulated(
     return rows
 
 
-def _kept(file: Path) -> np.ndarray | None:
+def _read_results(file: Path) -> np.ndarray | None:
     """Read the results of an earlier run; None if there are none."""
     if not file.exists():
         return None

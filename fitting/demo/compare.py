@@ -20,7 +20,7 @@ from ..noise.section import section as noise_section
 from ..reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from ..reflectance.from_images.read import read_reflectance_observation
 from ..reflectance.from_images.section import section as reflectance_section
-from ..report.inputs import with_inputs
+from ..report.inputs import add_inputs
 from ..report.section import Section
 from ..response.calibration import calibrate as calibrate_response
 from ..response.read import read_exposure_stack
@@ -84,14 +84,14 @@ def calibrate_lab(
         with step("photon transfer") as progress:
             rig = load_rig(folder / "noise")
             found = noise_section(calibrate_noise(reduce_rig(rig), **draws("noise", progress)))
-            return with_inputs(found, rig, "photon transfer")
+            return add_inputs(found, rig, "photon transfer")
 
     def response() -> Section:
         with step("response curve") as progress:
             rig = load_rig(folder / "response")
             stack = read_exposure_stack(rig)
             found = response_section(calibrate_response(stack, **draws("response", progress)))
-            return with_inputs(found, rig, "a response calibration")
+            return add_inputs(found, rig, "a response calibration")
 
     first = side_by_side([noise, response])
     with step("reflectance") as progress:
@@ -107,7 +107,7 @@ def calibrate_lab(
         found = reflectance_section(
             calibrate_reflectance(observation, model="phong", progress=by_fit, **drawn)
         )
-        reflectance = with_inputs(found, rig, "a reflectance calibration")
+        reflectance = add_inputs(found, rig, "a reflectance calibration")
     return [*first, reflectance]
 
 
@@ -146,7 +146,7 @@ def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
     ]
 
 
-def with_truth(section: Section, truth: Truth) -> Section:
+def mark_truth(section: Section, truth: Truth) -> Section:
     """Return the section with true values that its figures mark."""
     known = truths(truth).items()
     own = {(name, group): value for (kind, name, group), value in known if kind == section.kind}

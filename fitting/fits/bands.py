@@ -16,7 +16,7 @@ from jaxvision.errors import InputError
 
 from ..inference.formatting import format_spread, format_with_error
 from ..inference.given import require_whole
-from ..inference.likelihoods import with_noise_scaled
+from ..inference.likelihoods import scale_noise
 from ..inference.posterior import Posterior
 from ..inference.problem import Problem, give, likelihood_at, prediction, values_from
 
@@ -104,7 +104,7 @@ def simulate_data(
         key, natural = key_and_natural
         values = values_from(problem, natural)
         likelihood = likelihood_at(problem, values)
-        louder = with_noise_scaled(likelihood, noise)
+        louder = scale_noise(likelihood, noise)
         predicted = prediction(problem, values, inputs=inputs)
         return (likelihood if louder is None else louder).draw(key, predicted)
 

@@ -29,7 +29,7 @@ from ..inference.diagnostics import listed
 from ..inference.formatting import format_with_error
 from ..inference.joint_prior import places_of
 from ..inference.likelihoods import Clustered
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.posterior import Posterior
 from ..inference.problem import Problem
 from ..inference.search import Optimum
@@ -165,12 +165,12 @@ def _shares_of_data(
     if noise is None:
         if sources is None:
             return {"noise": present.ravel()}
-        parts = {name: on_host(x) for name, x in sources(predicted).items()}
+        parts = {name: to_host(x) for name, x in sources(predicted).items()}
         variance = sum(parts.values())
     else:
         variance = _variance(likelihood)
         parts = {
-            name: on_host(part(predicted) if callable(part) else part, dtype=np.float64)
+            name: to_host(part(predicted) if callable(part) else part, dtype=np.float64)
             for name, part in noise.items()
         }
     shares = {
@@ -191,13 +191,13 @@ def _present(problem: Problem) -> np.ndarray:
     """Return an array that is 1 for each present datum and 0 for each missing one."""
     if problem.present is None:
         return np.ones(problem.data.shape)
-    return on_host(problem.present, dtype=np.float64)
+    return to_host(problem.present, dtype=np.float64)
 
 
 def _variance(likelihood: Any) -> np.ndarray:
     for inside in (likelihood, getattr(likelihood, "likelihood", None)):
         if inside is not None and hasattr(inside, "sd"):
-            return on_host(inside.sd, dtype=np.float64) ** 2
+            return to_host(inside.sd, dtype=np.float64) ** 2
     raise InputError(
         f"noise: {type(likelihood).__name__} states no standard deviation to divide; leave noise "
         "out."

@@ -24,7 +24,7 @@ from jaxvision.rendering import PixelSamples
 
 from ..inference.given import require_kind
 from ..inference.problem import Problem, likelihood_at, prediction, values_at
-from .depicted import box_of, named_record, records_of, without_effects
+from .depicted import box_of, named_record, records_of, removable_effects
 from .influence import measure_effects
 from .information import Target, target_name
 from .solve import fit
@@ -135,7 +135,7 @@ def _unseen_by(
     its noise, that moves the quantity by one standard error.
     """
     _, _, measure = measure_effects(fit(problem), target)
-    effects, left = without_effects(problem, samples=samples, depth=depth)
+    effects, left = removable_effects(problem, samples=samples, depth=depth)
 
     def moved(names: Collection[str]) -> float:
         """Return a bound on the shift in standard errors; inf if the data's distribution or the

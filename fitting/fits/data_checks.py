@@ -17,7 +17,7 @@ from jaxtyping import Array
 from ..codes import converter_of
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import Misfit
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.parameters import unconstrained_numbers
 from ..inference.problem import Problem, likelihood_at, prediction, values_at
 from .widening import predicted_at
@@ -48,8 +48,8 @@ def data_check(
     problem: Problem, vector: np.ndarray, checks: Misfit, *, explained: bool, seed: int
 ) -> DataCheck:
     """Check the data of a problem against its best fit."""
-    data = on_host(problem.data, dtype=np.float64)
-    there = np.ones(data.shape, bool) if problem.present is None else on_host(problem.present)
+    data = to_host(problem.data, dtype=np.float64)
+    there = np.ones(data.shape, bool) if problem.present is None else to_host(problem.present)
     known = data[there]
     if known.size < FEWEST:
         return DataCheck()
@@ -88,8 +88,8 @@ def data_check_of_map(
     dtype = jnp.result_type(float)
     predicted, drawn = _pixel_predictions(jnp.asarray(vectors, dtype), own, keys, problem)
     seen = _FitOfPresent(problem, vectors[0], there)
-    seen.known = on_host(predicted, dtype=np.float64)[there]
-    seen.simulated = on_host(drawn, dtype=np.float64)[there]
+    seen.known = to_host(predicted, dtype=np.float64)[there]
+    seen.simulated = to_host(drawn, dtype=np.float64)[there]
     known = data[there]
     biased = None if faulty else _errors_of_data(seen, known)
     if biased is not None:
@@ -147,7 +147,7 @@ class _FitOfPresent:
         if self.known is None:
             problem, vector = self._at
             predicted = predicted_at(vector, problem)[0]
-            self.known = on_host(predicted, dtype=np.float64)[self._there]
+            self.known = to_host(predicted, dtype=np.float64)[self._there]
         return self.known
 
     def drawn(self, seed: int) -> np.ndarray:
@@ -156,7 +156,7 @@ class _FitOfPresent:
             problem, vector = self._at
             predicted, likelihood = predicted_at(vector, problem)
             drawn = likelihood.draw(jax.random.key(seed), predicted)
-            self.simulated = on_host(drawn, dtype=np.float64)[self._there]
+            self.simulated = to_host(drawn, dtype=np.float64)[self._there]
         return self.simulated
 
     def widths(self) -> np.ndarray | None:
@@ -169,7 +169,7 @@ class _FitOfPresent:
         own = self._there.ndim - np.ndim(width)  # a pixel axis of a map comes first
         if np.shape(width) != self._there.shape[own:]:
             return None
-        return np.broadcast_to(on_host(width, dtype=np.float64), self._there.shape)[self._there]
+        return np.broadcast_to(to_host(width, dtype=np.float64), self._there.shape)[self._there]
 
 
 def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:

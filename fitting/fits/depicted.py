@@ -46,7 +46,7 @@ def box_of(problem: Problem) -> Box:
     return box | _lights_before(records[seen], box)
 
 
-def without_effects(
+def removable_effects(
     problem: Problem, *, samples: PixelSamples | None = None, depth: int | None = None
 ) -> tuple[dict[str, Effect], Callable[[Collection[str]], Problem | None]]:
     """Return the effects that can be dropped from a problem's records, by name, and a function that

@@ -32,7 +32,7 @@ from ..inference.given import require_kind
 from ..inference.problem import Problem
 from ..inference.search import derivatives, search
 from ..inference.streams import chunks
-from .depicted import without_effects
+from .depicted import removable_effects
 from .information import Target, slope_of, target_name
 from .result import Fit
 from .solve import fit
@@ -185,7 +185,7 @@ def influence(
     found = fit(fitted) if isinstance(fitted, Problem) else fitted
     require_kind("influence: fitted", found, Fit, source="fit")
     value, sd, measure = measure_effects(found, target)
-    effects, left = without_effects(found.problem, samples=samples, depth=depth)
+    effects, left = removable_effects(found.problem, samples=samples, depth=depth)
     alone = {name: left((name,)) for name in effects}
     moved = [measure(name, less) for name, less in alone.items() if less is not None]
     ranked = sorted(moved, key=lambda one: -one.bound)

@@ -21,7 +21,7 @@ from jaxvision.errors import InputError, nearest
 from ..inference.design import Plan, rank
 from ..inference.given import require_whole
 from ..inference.likelihoods import Clustered
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.posterior import Posterior
 from ..inference.problem import (
     Problem,
@@ -57,7 +57,7 @@ def expected_information(
     keys = jax.random.split(jax.random.key(seed), 1 if exact else draws)
     at = jnp.asarray(vector, problem.data.dtype)
     found = _information(at, problem, jnp.asarray(weights, at.dtype), keys)
-    return on_host(found, dtype=np.float64)
+    return to_host(found, dtype=np.float64)
 
 
 @eqx.filter_jit
@@ -111,7 +111,7 @@ def slope_of(
         value, slope = _gradient(at, problem, _number, jnp.asarray(place))
     else:
         value, slope = _gradient(at, problem, target, None)
-    return float(value), on_host(slope, dtype=np.float64)
+    return float(value), to_host(slope, dtype=np.float64)
 
 
 def _place(problem: Problem, target: str) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..inference.differences import MISSED_SHARE
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.problem import Problem, Values, prediction, values_at
 from ..inference.records import head, is_path
 
@@ -37,8 +37,8 @@ def warn_of_moving_edges(problem: Problem) -> None:
     shares = {}
     for name, i in every[:: -(-len(every) // _MOST)]:
         way = jnp.zeros(values[name].size).at[i].set(1.0).reshape(values[name].shape)
-        size = max(float(np.linalg.norm(on_host(values[name]))), 1e-3)
-        whole, missed, unsure = on_host(_compared(problem, values, {name: _STEP * size * way}))
+        size = max(float(np.linalg.norm(to_host(values[name]))), 1e-3)
+        whole, missed, unsure = to_host(_compared(problem, values, {name: _STEP * size * way}))
         if missed - unsure > MISSED_SHARE * whole:
             shares[name] = max(shares.get(name, 0.0), float(missed / whole))
     if shares:

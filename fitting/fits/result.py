@@ -21,7 +21,7 @@ from ..inference.estimates import Estimate
 from ..inference.formatting import format_interval, format_p, format_unit, format_value
 from ..inference.joint_prior import JointPrior, Selection, posterior_prior
 from ..inference.misfit import Misfit
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, as_arrays, records_at, values_from
 from ..inference.search import Optimum
@@ -236,7 +236,7 @@ class Fit:
             True
         """
         thinned = thinned_draws(self.posterior, draws)
-        return bands(on_host(evaluate_draws(self.problem, function, jnp.asarray(thinned))))
+        return bands(to_host(evaluate_draws(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
         """Predict data, with the uncertainty of the parameters and the noise.
@@ -256,7 +256,7 @@ class Fit:
         if inputs is not None:
             given = jax.tree.map(jnp.asarray, as_arrays(inputs))
         return bands(
-            on_host(simulate_data(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
+            to_host(simulate_data(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
@@ -338,9 +338,9 @@ class Fit:
         except ImportError as error:
             raise InputError("to_arviz needs ArviZ: pip install arviz.") from error
         density = self.posterior.log_density
-        data = on_host(self.problem.data)
+        data = to_host(self.problem.data)
         if self.problem.present is not None:
-            data = np.where(on_host(self.problem.present), data, np.nan)
+            data = np.where(to_host(self.problem.present), data, np.nan)
         groups: dict[str, Any] = {"posterior": self.draws, "observed_data": {"data": data}}
         if density is not None:
             groups["sample_stats"] = {"lp": density}

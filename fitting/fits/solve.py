@@ -22,11 +22,11 @@ from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.differences import correct_by_differences
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
-from ..inference.importance import laplace_where_it_holds, without_mode
+from ..inference.importance import draw_without_mode, laplace_where_it_holds
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import Misfit, judge_sums, sums
 from ..inference.nuts import Nuts, nuts, require_blackjax
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.parameters import scalars
 from ..inference.posterior import Laplace, Posterior, sample
 from ..inference.problem import (
@@ -176,7 +176,7 @@ def fit(
         )
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
-    if problem.present is not None and not on_host(problem.present).any():
+    if problem.present is not None and not to_host(problem.present).any():
         raise InputError("There is nothing to fit: all data are missing (NaN).")
     warn_of_moving_edges(problem)
     how = _How(starts, start, solver, misfit == "inflate", seed)
@@ -272,7 +272,7 @@ def _optimum(
         found = search(problem, _start_from(problem, begin)[None], solver=how.solver)
         optimum = correct_by_differences(problem, found)
     else:
-        optimum = _searched(problem, how.starts, how.seed, how.solver, advance)
+        optimum = _search_more(problem, how.starts, how.seed, how.solver, advance)
     if problem.stream is not None:
         optimum = search_read(problem, optimum, advance)
     return optimum
@@ -316,7 +316,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
     if problem.stream is not None:
         count = float(problem.stream.count)
     elif problem.present is not None:
-        count = float(on_host(problem.present).sum())
+        count = float(to_host(problem.present).sum())
     with suppress(InputError):  # without a term, a parameter may be undetermined
         end = _tested(problem, optimum, how, advance)
         information = np.linalg.inv(end.wide.covariance)
@@ -376,7 +376,7 @@ def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
         one_series = isinstance(inputs, jax.Array | np.ndarray) and residuals.ndim == 1
         if one_series and inputs.shape == residuals.shape:
             # Neighbours in the order of the inputs show a misfit for any order of the data.
-            ordered = residuals[np.argsort(on_host(inputs), kind="stable")]
+            ordered = residuals[np.argsort(to_host(inputs), kind="stable")]
         totals = sums(ordered)
     else:
         totals = residual_sums(problem, vector, advance, seed=how.seed)
@@ -391,7 +391,9 @@ def _fits_width(problem: Problem) -> bool:
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
 
 
-def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Advance) -> Optimum:
+def _search_more(
+    problem: Problem, starts: int, seed: int, solver: Any, advance: Advance
+) -> Optimum:
     """Return the best of many searches. If no other search ends at the same optimum, run more
     searches."""
     wide_noise = _fits_width(problem)
@@ -549,7 +551,9 @@ def _draw(
         run = (density[0], space, vector, wide.covariance, density[1])
         found = None
         if endless and described["local"] is not None:
-            found = without_mode(*run, optimum.information, seed=seed, local=described["local"])
+            found = draw_without_mode(
+                *run, optimum.information, seed=seed, local=described["local"]
+            )
         if found is None:
             found = laplace_where_it_holds(*run, seed=seed, **described)
         if isinstance(method, Laplace):

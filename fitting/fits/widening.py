@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 
 from ..inference.clustering import Robustness, cluster_robust, gaussian_equivalent
-from ..inference.likelihoods import Clustered, with_noise_scaled
+from ..inference.likelihoods import Clustered, scale_noise
 from ..inference.misfit import Misfit, judge, sums
-from ..inference.on_host import on_host
+from ..inference.on_host import to_host
 from ..inference.problem import (
     Problem,
     Vector,
@@ -78,7 +78,7 @@ def widening(
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
-        every = {name: on_host(one) for name, one in every.items()}
+        every = {name: to_host(one) for name, one in every.items()}
         return _widen_by_groups(problem, optimum, every, residuals, inflate=inflate, seed=seed)
     if not inflate or checks.dof <= 0 or checks.chi_square <= max(checks.dof, 1):
         return Widening(covariance)
@@ -88,7 +88,7 @@ def widening(
         f"Chi-square per degree of freedom is {factor:.4g}; the errors from the data are "
         f"multiplied by {np.sqrt(factor):.3g}, as if their noise were that much larger."
     ]
-    if with_noise_scaled(problem.likelihood, 1.0) is None:
+    if scale_noise(problem.likelihood, 1.0) is None:
         words.append("Bands of new data use the stated noise.")
     widened = np.linalg.inv(optimum.data_information / factor + prior)
     return Widening(widened, None, float(np.sqrt(factor)), tuple(words), True)
@@ -111,10 +111,10 @@ def _widen_by_groups(
             )
     levels = [np.unique(one.ravel(), return_inverse=True)[1] for one in every.values()]
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
-    scores = on_host(_scores(vector, problem), dtype=np.float64)
+    scores = to_host(_scores(vector, problem), dtype=np.float64)
     prior = optimum.curvature - optimum.data_information
     slope, predicted = _slopes(problem, vector, seed)
-    moved = on_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
+    moved = to_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
     robust = cluster_robust(scores, optimum.curvature, *levels, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
     sentences = [_widening_in_words(robust, optimum, levels[0].max() + 1)]
@@ -127,7 +127,7 @@ def _widen_by_groups(
     determined = float(np.trace(optimum.data_information @ robust.covariance))
     left, lost = residuals, min(determined, len(optimum.vector))
     for labels in levels:
-        left = without_shared(left, labels, (slope, slope * predicted))
+        left = remove_shapes(left, labels, (slope, slope * predicted))
         lost += 2 * (labels.max() + 1)
     beyond = judge(left, lost)
     if shared:
@@ -146,7 +146,7 @@ def _widening_in_words(robust: Robustness, optimum: Optimum, groups: int) -> str
     """Return a sentence on the errors that groups share and on the factor by which they widen the
     intervals.
     """
-    if np.isnan(robust.by_light):
+    if np.isnan(robust.light_design_effect):
         return (
             "There are too few groups to estimate errors that they share: intervals are those of "
             "independent data."
@@ -167,7 +167,7 @@ def _widening_in_words(robust: Robustness, optimum: Optimum, groups: int) -> str
     )
 
 
-def without_shared(
+def remove_shapes(
     residuals: Float[np.ndarray, "..."],
     labels: np.ndarray,
     shapes: tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]],
@@ -239,10 +239,10 @@ def _residuals(
     problem: Problem, vector: Array, chance: np.ndarray, shift: float
 ) -> Float[np.ndarray, "..."]:
     predicted, likelihood = predicted_at(vector, problem)
-    place = jax.tree.map(lambda x: on_host(x, dtype=np.float64) + shift, predicted)
-    found = likelihood.residuals(place, on_host(problem.data), chance)
-    found = on_host(found, dtype=np.float64)
-    return found if problem.present is None else np.where(on_host(problem.present), found, np.nan)
+    place = jax.tree.map(lambda x: to_host(x, dtype=np.float64) + shift, predicted)
+    found = likelihood.residuals(place, to_host(problem.data), chance)
+    found = to_host(found, dtype=np.float64)
+    return found if problem.present is None else np.where(to_host(problem.present), found, np.nan)
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -250,8 +250,8 @@ def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.
     difference, and the prediction. The step scales with the data, because rounding would dominate a
     much smaller step.
     """
-    predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
-    data = on_host(problem.data, dtype=np.float64)
+    predicted = to_host(predicted_at(vector, problem)[0], dtype=np.float64)
+    data = to_host(problem.data, dtype=np.float64)
     there = data[np.isfinite(data)]
     largest = max(float(np.abs(predicted).max()), float(np.std(there)) if there.size else 0.0)
     size = max(float(np.std(predicted)), LEAST * largest) or 1.0

@@ -27,7 +27,7 @@ FEWEST_DARKS = 4  # levels of darks, for a line over exposure through all but on
 LIT = 10.0  # least deviation of a dark level from that line, in standard deviations of a pixel
 
 
-def _lit(levels: ComparedLevels) -> list[int]:
+def _lit_levels(levels: ComparedLevels) -> list[int]:
     """Return the indices of the levels that have light and still have frames, ordered by light."""
     there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
     return sorted(there, key=lambda i: levels.light[i])
@@ -81,7 +81,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
     whose signal per light is higher, or lower, than at both neighbours. No smooth response explains
     the second kind."""
     assert levels.black is not None
-    there = _lit(levels)
+    there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return
     signal, light = _signals(levels, there), levels.light[there]
@@ -96,7 +96,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
             "off or the shutter closed"
         )
         levels.remove(there[place], range(len(frames)), reason)
-    there = _lit(levels)
+    there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return
     signal, light = _signals(levels, there), levels.light[there]
@@ -115,7 +115,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
             levels.odd.append(OddFrames(names, reason))
             levels.frames[there[place]] = levels.frames[there[other]] = []
             continue
-        usual = signal[place] / light[place] / _beside(signal / light, place)
+        usual = signal[place] / light[place] / _neighbour_mean(signal / light, place)
         reason = f"the signal is {usual:.3g} times what its neighbouring levels predict"
         top = float(np.mean([frame.at_top for frame in frames]))
         if top > MOSTLY:
@@ -171,7 +171,7 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
     """Return the indices of the unsaturated levels with light, ordered by light. If saturated
     levels follow, the brightest unsaturated level is omitted, because some of its pixels may be
     saturated."""
-    there = _lit(levels)
+    there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return there
     varied = np.array([levels.pixel_noise(i) ** 2 for i in there])
@@ -263,7 +263,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
 def noise_of_levels(levels: ComparedLevels) -> None:
     """Remove levels whose variance per signal is higher, or lower, than at both neighbouring
     levels."""
-    there = _lit(levels)
+    there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return
     signal = _signals(levels, there)
@@ -273,7 +273,7 @@ def noise_of_levels(levels: ComparedLevels) -> None:
     count = len(there) if saturated.all() else int(np.flatnonzero(~saturated)[-1]) + 1
     sizes = np.array([levels.frames[i][0].sample.size for i in there])
     for place in _peaks(np.log(rates[:count]), np.log(OTHER_NOISE), np.sqrt(2 / sizes)):
-        ratio = rates[place] / _beside(rates, place)
+        ratio = rates[place] / _neighbour_mean(rates, place)
         less = "with copies, averaged or smoothed frames"
         more = "if the camera moved or its gain changed"
         levels.remove(
@@ -284,7 +284,7 @@ def noise_of_levels(levels: ComparedLevels) -> None:
         )
 
 
-def _beside(values: np.ndarray, place: int) -> float:
+def _neighbour_mean(values: np.ndarray, place: int) -> float:
     return float(np.mean(values[[place - 1, place + 1]]))
 
 

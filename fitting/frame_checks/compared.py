@@ -65,7 +65,7 @@ class ComparedLevels:
         if known not in self._pixel_noise:
             black = None if self.black is None else float(self.black[level])
             fields = [a - b for a, b in pairwise(scaled_to_one_mean(frames, black))]
-            variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
+            variances = [trimmed_variance(f if lines else subtract_line_means(f)) for f in fields]
             least = min((v for v in variances if v > 0), default=0.0)
             self._pixel_noise[known] = float(np.sqrt(least / 2))
         return self._pixel_noise[known]
@@ -134,7 +134,7 @@ class ComparedLevels:
             one for i, one in enumerate(self.frames[level]) if i not in set(places)
         ]
 
-    def without_single_frames(self) -> None:
+    def drop_single_frames(self) -> None:
         """Remove levels with only one frame left, because a single frame gives no temporal
         variance."""
         for level, frames in enumerate(self.frames):
@@ -166,7 +166,7 @@ def trimmed_variance(residuals: np.ndarray) -> float:
     return float(squares.mean())
 
 
-def without_lines(field: np.ndarray) -> np.ndarray:
+def subtract_line_means(field: np.ndarray) -> np.ndarray:
     """Subtract the means of rows and of columns, such as flicker bands under a rolling shutter."""
     of_columns, of_rows = field.mean(axis=0), field.mean(axis=1, keepdims=True)
     return field - of_columns - of_rows + field.mean()

@@ -28,7 +28,7 @@ def odd_exposures(
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
-    for test in (_copied_exposures, _other_scene_images, _out_of_order):
+    for test in (_copied_exposures, _other_scene_images, _find_disordered):
         for i, reason in test(frames, seconds, left, full_scale).items():
             odd.append(OddFrames((frames[i].name,), reason))
             left.remove(i)
@@ -122,7 +122,7 @@ def _other_scene_images(
     }
 
 
-def _out_of_order(
+def _find_disordered(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Return the images that are darker than a shorter exposure or brighter than a longer exposure,

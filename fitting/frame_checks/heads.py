@@ -100,7 +100,7 @@ _OF_A_GROUP: list[tuple[str, Callable[[Any], str]]] = [
 ]
 
 
-def _alike(one: Any, other: Any) -> bool:
+def _are_equal(one: Any, other: Any) -> bool:
     if isinstance(one, str):
         return one == other
     return abs(one - other) <= SAME * max(abs(one), abs(other))
@@ -113,9 +113,9 @@ def _minority(
     InputError if there is no majority."""
     if len(values) < 2:
         return {}
-    votes = {name: sum(_alike(own, x) for x in values.values()) for name, own in values.items()}
+    votes = {name: sum(_are_equal(own, x) for x in values.values()) for name, own in values.items()}
     first = max(votes, key=lambda name: votes[name])
-    others = [name for name, own in values.items() if not _alike(own, values[first])]
+    others = [name for name, own in values.items() if not _are_equal(own, values[first])]
     if not others:
         return {}
     if 2 * votes[first] <= len(values):

@@ -32,9 +32,9 @@ from .compared import (
     beyond_chance,
     rms,
     scaled_to_one_mean,
+    subtract_line_means,
     trimmed_variance,
     usual_size,
-    without_lines,
 )
 from .frame import COPIED, COPIED_DARKS, FrameSample, OddFrames, listed
 from .moved import moved_frames
@@ -56,7 +56,7 @@ def odd_frames(
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
-    compared.without_single_frames()
+    compared.drop_single_frames()
     if black is not None:
         distribution_of_levels(compared)
         light_of_levels(compared)
@@ -140,7 +140,7 @@ def _copies_across(levels: ComparedLevels) -> None:
             places = [i for i, frame in enumerate(frames) if frame.name in names]
             if places:
                 levels.remove(level, places, COPIED.format(listed(names)))
-    levels.without_single_frames()
+    levels.drop_single_frames()
 
 
 def _means(levels: ComparedLevels) -> None:
@@ -231,7 +231,9 @@ def _noise(levels: ComparedLevels) -> None:
             continue
         alike = scaled_to_one_mean(frames, None if levels.black is None else levels.black[level])
         middle = np.median(alike, axis=0)
-        variances = np.array([trimmed_variance(without_lines(sample - middle)) for sample in alike])
+        variances = np.array(
+            [trimmed_variance(subtract_line_means(sample - middle)) for sample in alike]
+        )
         if not (variances > 0).all():
             continue
         logs = np.log(variances)

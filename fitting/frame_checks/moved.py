@@ -15,8 +15,8 @@ from .compared import (
     SURE,
     ComparedLevels,
     scaled_to_one_mean,
+    subtract_line_means,
     trimmed_variance,
-    without_lines,
 )
 from .frame import OddFrames, listed
 
@@ -62,7 +62,7 @@ def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarra
     """Return the difference between the means of the first two groups, without flicker bands, as a
     vector of norm 1."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
-    field = without_lines((second - first).astype(float)).ravel()
+    field = subtract_line_means((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_arrays, replaced_on_success
 
-from .on_host import on_host
+from .on_host import to_host
 
 Progress = Callable[[int, int], None]
 Block = dict[str, np.ndarray]
@@ -118,5 +118,5 @@ def fingerprint(
     digest = hashlib.sha256()
     digest.update(ADDRESS.sub("", repr((settings, packages, name, str(closed)))).encode())
     for leaf in jax.tree.leaves((mode, covariance, args, closed.consts)):
-        digest.update(on_host(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
+        digest.update(to_host(leaf).tobytes() if eqx.is_array_like(leaf) else b"static")
     return digest.hexdigest()

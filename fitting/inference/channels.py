@@ -14,12 +14,12 @@ import numpy as np
 from jaxvision.errors import InputError, nearest
 
 from .likelihoods import Clustered, names_within
-from .on_host import on_host
+from .on_host import to_host
 from .problem import Problem, start_of_data
 from .records import is_path
 
 
-def by_channel(
+def stack_channels(
     problem: Problem, data: Any, *, shared: Sequence[str] = (), inputs: Any = None
 ) -> Problem:
     """Turn the problem of one channel into one problem for several channels, which compiles to one
@@ -48,7 +48,7 @@ def by_channel(
     Example:
         Two channels that share one decay rate.
 
-        >>> from fitting import Gaussian, Parameter, Problem, by_channel, fit
+        >>> from fitting import Gaussian, Parameter, Problem, fit, stack_channels
         >>> time = np.linspace(0.0, 2.0, 20)
         >>> one = Problem(
         ...     {"height": Parameter(linear=True), "rate": Parameter(lower=0, upper=9)},
@@ -57,7 +57,8 @@ def by_channel(
         ...     data=np.zeros(20),
         ...     inputs=time,
         ... )
-        >>> both = by_channel(one, np.exp(-time)[:, None] * np.array([2.0, 5.0]), shared=["rate"])
+        >>> data = np.exp(-time)[:, None] * np.array([2.0, 5.0])
+        >>> both = stack_channels(one, data, shared=["rate"])
         >>> found = fit(both)
         >>> found.values["height"].round(4).tolist(), round(float(found.values["rate"]), 4)
         ([2.0, 5.0], 1.0)
@@ -65,22 +66,23 @@ def by_channel(
     own = problem.data.shape
     if problem.stream is not None or np.ndim(data) != len(own) + 1 or np.shape(data)[:-1] != own:
         raise InputError(
-            f"by_channel: data of shape {np.shape(data)} do not fit: the problem's own shape, "
-            f"{own}, comes first, the channels behind it."
+            f"stack_channels: data of shape {np.shape(data)} do not fit: the problem's own "
+            f"shape, {own}, comes first, the channels behind it."
         )
     count = np.shape(data)[-1]
     free = [parameter.name for parameter in problem.free]
     for name in shared:
         if name not in free:
-            raise InputError(f"by_channel: shared names {name!r}; {nearest(name, free)}.")
+            raise InputError(f"stack_channels: shared names {name!r}; {nearest(name, free)}.")
     several = tuple(name for name in free if name not in shared)
     if paths := [name for name in several if is_path(name)]:
-        raise InputError(f"by_channel: {paths[0]} is a path into a record: add it to shared.")
+        raise InputError(f"stack_channels: {paths[0]} is a path into a record: add it to shared.")
     if named := sorted(names_within(problem.likelihood) & {*several}):
-        raise InputError(f"by_channel: the likelihood names {named[0]}: add it to shared.")
+        raise InputError(f"stack_channels: the likelihood names {named[0]}: add it to shared.")
     if problem.tied:
         raise InputError(
-            f"by_channel: {', '.join(problem.tied)} is tied to others: compute it within predict."
+            f"stack_channels: {', '.join(problem.tied)} is tied to others: compute it within "
+            "predict."
         )
     parameters: dict[str, Any] = dict(problem.fixed)
     candidates = {candidate.name: candidate for candidate in problem.candidates}
@@ -146,14 +148,14 @@ def _inputs(own: Any, given: Any, count: int) -> tuple[Any, Any]:
     leaves, form = jax.tree.flatten(own)
     others, other_form = jax.tree.flatten(given)
     if form != other_form:
-        raise InputError("by_channel: inputs: give them in the structure of the problem's own.")
+        raise InputError("stack_channels: inputs: give them in the structure of the problem's own.")
     axes: list[int | None] = []
     for whole, leaf in zip(leaves, others, strict=True):
         shape = np.shape(leaf)
         if shape not in (np.shape(whole), (*np.shape(whole), count)):
             raise InputError(
-                f"by_channel: inputs: an array of shape {shape} is neither of the problem's own "
-                f"shape, {np.shape(whole)}, nor of {(*np.shape(whole), count)}."
+                f"stack_channels: inputs: an array of shape {shape} is neither of the problem's "
+                f"own shape, {np.shape(whole)}, nor of {(*np.shape(whole), count)}."
             )
         axes.append(None if shape == np.shape(whole) else -1)
     return jax.tree.unflatten(form, others), jax.tree.unflatten(form, axes)
@@ -163,7 +165,7 @@ def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
     """Return the likelihood of all channels, with the same fields for each."""
     if isinstance(likelihood, Clustered):
         labels = jax.tree.map(
-            lambda x: np.broadcast_to(on_host(x)[..., None], shape), likelihood.labels
+            lambda x: np.broadcast_to(to_host(x)[..., None], shape), likelihood.labels
         )
         return Clustered(_likelihood(likelihood.likelihood, shape), labels)
     return jax.tree.map(

@@ -61,12 +61,12 @@ class Robustness:
     design_effect: float
 
     @property
-    def by_light(self) -> float:
+    def light_design_effect(self) -> float:
         """Return the design effect of the first level of clusters, such as lights."""
         return self.effects[0]
 
     @property
-    def by_pixel(self) -> float:
+    def pixel_design_effect(self) -> float:
         """Return the design effect of the second level of clusters, such as pixels; NaN if there is
         only one level.
         """

@@ -47,7 +47,7 @@ def autocorrelation_times(
     return np.array(times)
 
 
-def without_bias(time: float, length: int) -> float:
+def correct_bias(time: float, length: int) -> float:
     """Correct an autocorrelation time for the bias of a short chain.
 
     Let tau be the true autocorrelation time and N the number of steps. Because the mean of the same

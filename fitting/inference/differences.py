@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .compiled import compiled_briefly
-from .on_host import on_host
+from .on_host import to_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
 from .search import Optimum, add_prior
 
@@ -39,7 +39,7 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
         return optimum
     dtype = problem.data.dtype
     vector = jnp.asarray(optimum.vector, dtype)
-    whole, missed, own, rounding = on_host(
+    whole, missed, own, rounding = to_host(
         _compared(vector, jnp.asarray(sizes, dtype), problem), dtype=np.float64
     ).T
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not flagged
@@ -61,7 +61,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
     for _ in range(STEPS):
         of_data = _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
-        at, steepness, curvature = (on_host(x, dtype=np.float64)[None] for x in of_data)
+        at, steepness, curvature = (to_host(x, dtype=np.float64)[None] for x in of_data)
         found = add_prior(vector[None], problem, (at, steepness, curvature))
         _, gradient, information = (x[0] for x in found)
         values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else [0.0]
@@ -71,7 +71,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
         decrement = float(-gradient @ step / 2)
         ways = [np.zeros((1, len(step))), _SHARES[:, None] * step, np.diag(sizes), -np.diag(sizes)]
         tried = vector + np.concatenate(ways)
-        cost, *costs = on_host(_costs(jnp.asarray(tried, dtype), problem), dtype=np.float64)
+        cost, *costs = to_host(_costs(jnp.asarray(tried, dtype), problem), dtype=np.float64)
         begun = cost if np.isnan(begun) else begun
         lowest = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
         if settled := not costs[lowest] < cost - LEAST_GAIN:
@@ -106,7 +106,7 @@ def _widened(
     for _ in range(STEPS):
         steps = np.diag(factors * sizes)
         tried = jnp.asarray(vector + np.concatenate([steps, -steps]), problem.data.dtype)
-        rise = on_host(_costs(tried, problem), dtype=np.float64).reshape(2, -1) - cost
+        rise = to_host(_costs(tried, problem), dtype=np.float64).reshape(2, -1) - cost
         flat = (rise < LEAST_RISE).any(axis=0)
         if not flat.any():
             break

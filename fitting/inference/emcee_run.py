@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from jaxvision.errors import InputError
 
 from .blocks import Block, Progress, length, next_length, resume_blocks, stack_blocks, store
-from .convergence import autocorrelation_times, without_bias
+from .convergence import autocorrelation_times, correct_bias
 from .given import require_progress, require_whole
 
 TIMES_TAU = 50  # shortest chain that is trusted, in autocorrelation times
@@ -125,7 +125,7 @@ class SamplingOptions(Emcee):
         super().__post_init__()
 
 
-def for_group(options: Emcee | None, group: str) -> Emcee | None:
+def group_options(options: Emcee | None, group: str) -> Emcee | None:
     """Return the options with a checkpoint folder for one group (a colour channel), or None."""
     if options is None or options.checkpoint is None:
         return options
@@ -311,5 +311,5 @@ def _missing(steps: int, settled: int, tau: float) -> int:
     """Estimate the steps, in hundreds, up to `TIMES_TAU` autocorrelation times after burn-in."""
     if settled >= TIMES_TAU * tau:
         return 0
-    needed = min((TIMES_TAU + BURN_IN_TAU) * without_bias(tau, settled), 10 * steps)
+    needed = min((TIMES_TAU + BURN_IN_TAU) * correct_bias(tau, settled), 10 * steps)
     return max(math.ceil((needed - steps) / 100), 1) * 100

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
 
-from .on_host import on_host
+from .on_host import to_host
 
 CENSORED_T = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
 ASYMMETRY = 1e-5  # of the largest entry of a covariance: rounding of float32
@@ -123,7 +123,7 @@ def require_positive(what: str, value: Any) -> None:
     """Refuse a width that is not positive. A parameter's name or a traced value is not checked."""
     if isinstance(value, str) or not is_concrete(value):
         return
-    values = on_host(value)
+    values = to_host(value)
     wrong = values[~((values > 0) & (values < np.inf))]
     if wrong.size:
         raise InputError(f"{what} must be positive and finite, got {wrong.flat[0]:g}.")
@@ -148,7 +148,7 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
     """Refuse an empty interval; None, a name or a traced value is not checked."""
     ends = {"low": low, "high": high}
     known = {
-        name: on_host(end)
+        name: to_host(end)
         for name, end in ends.items()
         if not (end is None or isinstance(end, str)) and is_concrete(end)
     }
@@ -176,7 +176,7 @@ def whole_labels(labels: Any) -> dict[str, Any] | Int[np.ndarray, "..."]:
         if not labels:
             raise InputError("Clustered: give at least one level of labels.")
         return {str(name): whole_labels(one) for name, one in labels.items()}
-    given = on_host(plain_array("labels", labels))
+    given = to_host(plain_array("labels", labels))
     if given.dtype.kind not in "iuf" or (given != np.round(given)).any():
         raise InputError(
             "Clustered: labels are whole numbers, the group of each datum; "

@@ -167,7 +167,7 @@ def _misses(costs: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.max(np.abs(rise - FAR**2 / 2), axis=0), nan=np.inf)
 
 
-def without_mode(
+def draw_without_mode(
     log_density: LogDensity,
     space: ParameterSpace,
     end: Float[Array, " parameters"],

@@ -381,11 +381,11 @@ def for_data(likelihood: Any, data: Numbers) -> Any:
     return likelihood.for_data(data) if hasattr(likelihood, "for_data") else likelihood
 
 
-def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
+def scale_noise(likelihood: Any, factor: Any) -> Any:
     """Return the likelihood with its noise multiplied by a factor; None for a likelihood without a
     field `sd` or `scale`, such as a sensor's, whose noise depends on the signal."""
     if isinstance(likelihood, Clustered):
-        inside = with_noise_scaled(likelihood.likelihood, factor)
+        inside = scale_noise(likelihood.likelihood, factor)
         return None if inside is None else Clustered(inside, likelihood.labels)
     for name in ("sd", "scale"):
         if hasattr(likelihood, name):
@@ -401,7 +401,7 @@ def named_width(likelihood: Any) -> str | None:
     return width if isinstance(width, str) else None
 
 
-def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
+def substitute_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
     """Return a likelihood with values in place of the names of parameters and records."""
     return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 

@@ -38,7 +38,7 @@ from .blocks import (
 )
 from .convergence import effective_draws, split_r_hat
 from .given import require_progress, require_whole
-from .on_host import on_host
+from .on_host import to_host
 from .parameters import ParameterSpace, natural_numbers
 from .posterior import LogDensity, Posterior
 
@@ -158,7 +158,7 @@ def nuts(
         state = _State(*(jnp.asarray(blocks[-1][name]) for name in names))
     else:
         state = _started(*density, starting, chains)
-        if not np.isfinite(on_host(state.log_density)).all():
+        if not np.isfinite(to_host(state.log_density)).all():
             raise InputError(
                 "The density is impossible at the mode itself, so no chain can start; fit first."
             )
@@ -170,8 +170,8 @@ def nuts(
         )
         blocks.append(
             {"fingerprint": np.array(run)}
-            | {name: on_host(values)[:steps] for name, values in drawn.items()}
-            | {name: on_host(values) for name, values in vars(state).items()}
+            | {name: to_host(values)[:steps] for name, values in drawn.items()}
+            | {name: to_host(values) for name, values in vars(state).items()}
         )
         store(options.checkpoint, len(blocks) - 1, blocks[-1])
         if options.progress is not None:

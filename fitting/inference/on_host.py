@@ -13,9 +13,9 @@ from jax.core import Tracer
 from jaxvision.errors import InputError
 
 
-def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
+def to_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     """Return all values as a NumPy array; with several processes, each must call this."""
-    if _off_device(values):
+    if _fetch(values):
         from jax.experimental.multihost_utils import process_allgather
 
         values = process_allgather(values, tiled=True)
@@ -24,14 +24,14 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 
 def require_here(name: str, values: Any) -> None:
     """Refuse arrays that lie on several hosts, because parts are read in one process."""
-    if any(_off_device(leaf) for leaf in jax.tree.leaves(values)):
+    if any(_fetch(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "
             "fit it whole (without chunk), or give each host's own part to a task."
         )
 
 
-def _off_device(values: Any) -> bool:
+def _fetch(values: Any) -> bool:
     return (
         isinstance(values, jax.Array)
         and not isinstance(values, Tracer)

@@ -228,7 +228,7 @@ def _into_bounds(u: Array, a: float, b: float) -> Array:
     return u
 
 
-def _out_of_bounds(v: Array, a: float, b: float) -> Array:
+def _unbound(v: Array, a: float, b: float) -> Array:
     """Return the unconstrained value u at the scaled value v, with a < v < b."""
     xp = numpy_or_jax(v)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
@@ -277,7 +277,7 @@ def _to_natural(space: ParameterSpace, unconstrained: Any) -> Any:
 def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
     def columns(parameter: Parameter, x: Any) -> Any:
         v = x if parameter.transform == "identity" else numpy_or_jax(x).log(x)
-        return _out_of_bounds(v, *scaled_ends(parameter))
+        return _unbound(v, *scaled_ends(parameter))
 
     return _map_kinds(space, natural, columns)
 
@@ -360,7 +360,7 @@ def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
     """Return unconstrained values from those on the scale of each number; NaN outside bounds."""
 
     def columns(parameter: Parameter, v: Array) -> Array:
-        return _out_of_bounds(v, *scaled_ends(parameter))
+        return _unbound(v, *scaled_ends(parameter))
 
     return _map_kinds(space, scaled, columns)
 

@@ -94,12 +94,12 @@ def fit_side_by_side(
             likely = here.likelihood if squares else here.likelihood.surrogate
             by_squares = eqx.tree_at(lambda p: p.likelihood, here, likely)
             begin = jax.vmap(lambda start: complete(start[others], by_squares))(begin)
-        return _fitted(begin, here, max_steps, chance)
+        return _fit_pixels(begin, here, max_steps, chance)
 
     return jax.vmap(one)(data, own)
 
 
-def _fitted(starts: Array, problem: Problem, max_steps: Array, chance: Array) -> Ends:
+def _fit_pixels(starts: Array, problem: Problem, max_steps: Array, chance: Array) -> Ends:
     squares = problem.likelihood.least_squares
     precise = starts.dtype == jnp.float64
     found = jax.vmap(

@@ -29,7 +29,7 @@ from .estimates import (
     reach_from_end,
     sampled_estimate,
 )
-from .on_host import on_host
+from .on_host import to_host
 from .parameters import (
     Parameter,
     ParameterSpace,
@@ -169,7 +169,7 @@ def laplace(
     the correlations of the Gaussian.
     """
     if covariance is None:
-        information = on_host(_information(log_density, mode, args), dtype=np.float64)
+        information = to_host(_information(log_density, mode, args), dtype=np.float64)
         judged = identifiability(space, information)
         if not judged.determined:
             raise InputError(" ".join(judged.sentences))
@@ -295,13 +295,13 @@ def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
     known = prior_values(parameter)
     if known is not None and np.std(draws) > PRIOR_RATIO * np.std(known):
         return ""
-    for side, distance in _from_bounds(parameter, draws).items():
+    for side, distance in _distance_from_bounds(parameter, draws).items():
         if reach_from_end(distance, 0.95)[0]:
             return side
     return ""
 
 
-def _from_bounds(
+def _distance_from_bounds(
     parameter: Parameter, draws: Float[np.ndarray, " draws"]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """Return the distances of the draws from the finite bounds, on the scale of the number."""
@@ -325,7 +325,7 @@ def _sampled_ends(
     bound = ends(parameter)[side == "upper"]
     sign = 1 if side == "lower" else -1
     for level, first, last in ((0.95, 0, 4), (0.68, 1, 3)):
-        begins, reach = reach_from_end(_from_bounds(parameter, draws)[side], level)
+        begins, reach = reach_from_end(_distance_from_bounds(parameter, draws)[side], level)
         if begins:
             other = np.log(bound) if parameter.transform == "log" else bound
             other = other + sign * float(reach)
@@ -343,7 +343,7 @@ def evaluate_density(
     log_density: LogDensity, vectors: Float[Array, "draws parameters"], args: Any
 ) -> Float[np.ndarray, " draws"]:
     """Evaluate a log density at many vectors, in batches; the result is -inf where it is NaN."""
-    return on_host(_evaluate(log_density, vectors, args), dtype=float)
+    return to_host(_evaluate(log_density, vectors, args), dtype=float)
 
 
 def walkers_at_a_time() -> int:

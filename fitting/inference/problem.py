@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxvision.core.plain_arrays import plain_array, with_room, within_integers
+from jaxvision.core.plain_arrays import plain_array, widen_integers, within_integers
 from jaxvision.errors import InputError, nearest
 
 from .candidates import Candidate
 from .given import plain_numbers, require_kind
 from .joint_prior import JointPrior, apply_joint_prior, log_dependence, restrict
-from .likelihoods import Likelihood, check_data, for_data, names_within, with_values
-from .on_host import on_host
+from .likelihoods import Likelihood, check_data, for_data, names_within, substitute_values
+from .on_host import to_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, read, replaced
 from .streams import Stream, open_stream
@@ -180,7 +180,7 @@ class Problem(eqx.Module):
         self.asks = argument_names(predict)
         self.start = start
         check_names(self, parameters)
-        known = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
+        known = to_host(plain_numbers("data", data), dtype=jnp.result_type(float))
         if infinite := int(np.isinf(known).sum()):
             raise InputError(f"{infinite} of the data are infinite: mark missing ones by NaN.")
         missing = np.isnan(known)
@@ -263,9 +263,9 @@ class Problem(eqx.Module):
         return self._replaced(every, prior=joint)
 
     def _replaced(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
-        present = True if self.present is None else on_host(self.present)
+        present = True if self.present is None else to_host(self.present)
         given = {
-            "data": np.where(present, on_host(self.data), np.nan),
+            "data": np.where(present, to_host(self.data), np.nan),
             "records": self.records,
             "inputs": self.inputs,
             "start": self.start,
@@ -422,7 +422,7 @@ def likelihood_at(problem: Problem, values: Values) -> Likelihood:
     def value_of(name: str) -> Any:
         return values[name] if name in values else reach(records_at(problem, values), name)
 
-    return for_data(with_values(problem.likelihood, value_of), problem.data)
+    return for_data(substitute_values(problem.likelihood, value_of), problem.data)
 
 
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
@@ -488,7 +488,7 @@ def as_arrays(tree: Any) -> Any:
 
     def plain_one(x: Any) -> Any:
         plain = plain_array("inputs", np.asarray(x) if isinstance(x, np.memmap) else x)
-        return within_integers(with_room(plain))
+        return within_integers(widen_integers(plain))
 
     plain = jax.tree.map(plain_one, tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)
@@ -500,7 +500,7 @@ def missing_in_words(problem: Problem, *, first: int = 0) -> str:
     """
     given = {"inputs": problem.inputs} | problem.fixed | problem.records
     for path, leaf in jax.tree_util.tree_leaves_with_path(given):
-        if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(on_host(leaf))).any():
+        if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(to_host(leaf))).any():
             continue
         at = np.argwhere(missing)[0]
         by_row = bool(at.size and problem.data.ndim) and len(missing) == len(problem.data)

@@ -158,7 +158,7 @@ def proposed(
     """Return vectors and their log density up to a constant. Each vector is made from P + 2 uniform
     numbers: one for u, P - 1 for the other numbers, one for the width of Student's t, and one that
     selects Student's t or a Gaussian."""
-    place, cell, share, log_density = _on_table(along, units[:, 0])
+    place, cell, share, log_density = _draw_log_linear(along, units[:, 0])
     size = along.centres.shape[1] - 1
     stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, units[:, -2]))
     normal = ndtri(np.clip(units[:, 1:-2], 1e-12, 1 - 1e-12))
@@ -183,7 +183,7 @@ def _between(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndar
     return (1 - share) * values[cell] + share * values[cell + 1]
 
 
-def _on_table(
+def _draw_log_linear(
     along: Ridge, uniform: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return draws of u, log-linear in each cell, with cell, share of it and log density."""

@@ -56,7 +56,7 @@ from .compiled import compiled_briefly
 from .diagnostics import UNDETERMINED, listed
 from .given import require_whole
 from .newton import minimise_many, second_derivatives
-from .on_host import on_host
+from .on_host import to_host
 from .parameters import (
     FLAT_QUANTILES,
     ParameterSpace,
@@ -281,7 +281,7 @@ def search(
         _require_solver(solver, problem)
         mean, sd = (jnp.asarray(x, jnp.result_type(float)) for x in prior_gaussian(problem.space))
         vectors = _solver_end(jnp.asarray(begin, mean.dtype), problem, mean, 1 / sd, solver)
-        vectors = on_host(vectors, dtype=np.float64)
+        vectors = to_host(vectors, dtype=np.float64)
         costs = derivatives(vectors, problem)[0]
     elif problem.likelihood.least_squares:
         vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, progress=progress)
@@ -395,7 +395,7 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
     def one(start: Array) -> Array:
         if squares:
             args = (problem, mean, weight)
-            how: Any = (_with_gaussian_prior, solver, start, args)
+            how: Any = (_penalised_residuals, solver, start, args)
             found = optx.least_squares(*how, max_steps=MANY_STEPS, throw=False)
             partly = found.value.size < len(problem.space)
             return complete(found.value, problem) if partly else found.value
@@ -444,7 +444,7 @@ def _residuals(vector: Vector, problem: Problem) -> Array:
     return least_squares_residuals(vector, problem)
 
 
-def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
+def _penalised_residuals(vector: Vector, args: Any) -> Array:
     """Return the residuals of the data and of a Gaussian prior on `vector`."""
     problem, mean, weight = args
     return jnp.concatenate([_residuals(vector, problem), weight * (vector - mean)])
@@ -467,7 +467,7 @@ def _levenberg_marquardt(
         first = jnp.asarray(starts[0], jnp.result_type(float))
         require_linear(first, problem)
         if not others.size:
-            end = on_host(_completed(first[None], problem), dtype=np.float64)
+            end = to_host(_completed(first[None], problem), dtype=np.float64)
             return np.tile(end, (len(starts), 1)), np.zeros(len(starts))
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -485,7 +485,7 @@ def _levenberg_marquardt(
     if not closed:
         return found.vector, found.cost
     ends = _completed(jnp.asarray(found.vector, jnp.result_type(float)), problem)
-    return on_host(ends, dtype=np.float64), found.cost
+    return to_host(ends, dtype=np.float64), found.cost
 
 
 def _modes(starts: np.ndarray, local: Local, progress: Ended | None = None) -> Any:
@@ -640,7 +640,7 @@ def _grouped_calls(
         filled = np.resize(own, (BATCH, own.shape[1]))
         wanted = np.arange(BATCH) < len(own)
         parts = program(filled.astype(jnp.result_type(float)), wanted, problem)
-        found.append([on_host(part, dtype=np.float64)[: len(own)] for part in parts])
+        found.append([to_host(part, dtype=np.float64)[: len(own)] for part in parts])
     cost, gradient, curvature = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return cost, gradient, curvature
 

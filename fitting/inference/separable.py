@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError
 from jaxvision.programs import short_run_options
 
-from .on_host import on_host
+from .on_host import to_host
 from .parameters import ends, prior_values, to_natural, to_unconstrained
 from .problem import Problem, residuals_from
 
@@ -293,7 +293,7 @@ def complete(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[A
 
 def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> None:
     """Refuse parameters that are stated to be linear if the prediction is not linear in them."""
-    on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
+    on_line, own = (to_host(x) for x in _bends(nonlinear, problem))
     size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
     if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:
         names = [problem.space[i].name for i in closed_form_indices(problem)]

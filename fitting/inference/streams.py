@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision.core.plain_arrays import plain_array, with_room
+from jaxvision.core.plain_arrays import plain_array, widen_integers
 from jaxvision.errors import InputError
 
 from .given import plain_numbers, require_whole
@@ -115,11 +115,11 @@ def open_stream(
         mark = None if mark is None else _marked(mark, piece)
         own = rng.random(len(piece.data))
         chosen = own < (keys.max() if len(keys) == size else 1)
-        some = _taken(piece, np.flatnonzero(chosen))
+        some = _take_rows(piece, np.flatnonzero(chosen))
         kept, keys = _joined(kept, some), np.concatenate([keys, own[chosen]])
         if len(keys) > size:
             lowest = np.sort(np.argpartition(keys, size)[:size])
-            kept, keys = _taken(kept, lowest), keys[lowest]
+            kept, keys = _take_rows(kept, lowest), keys[lowest]
     if kept is None or not count:
         raise InputError("data: there are none to read.")
     filled, there = _filled(kept, size)
@@ -137,7 +137,7 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
     done, whole, mark = 0, -(-stream.count // stream.size), 0
     for rows, there in _chunks(stream):
         if stream.mark is not None:
-            mark = _marked(mark, rows if there.all() else _taken(rows, there))
+            mark = _marked(mark, rows if there.all() else _take_rows(rows, there))
         known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
         beside = jax.tree.map(
             lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
@@ -189,7 +189,9 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         own = _chosen(stream, stream.beside)
         for begin in range(0, len(data), stream.size):
             part = slice(begin, begin + stream.size)
-            beside = tuple(with_room(plain_array("inputs", np.asarray(leaf[part]))) for leaf in own)
+            beside = tuple(
+                widen_integers(plain_array("inputs", np.asarray(leaf[part]))) for leaf in own
+            )
             yield Rows(np.asarray(data[part], dtype), beside)
         return
     for piece in cast(Iterable[Any], data()) if source is None else source:
@@ -198,7 +200,8 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         beside = inputs, stream.likelihood
         _check_inputs(stream, beside, len(rows) if rows.ndim else 0)
         own = (
-            with_room(plain_array("inputs", np.asarray(leaf))) for leaf in _chosen(stream, beside)
+            widen_integers(plain_array("inputs", np.asarray(leaf)))
+            for leaf in _chosen(stream, beside)
         )
         yield Rows(rows, tuple(own))
 
@@ -235,9 +238,9 @@ def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
         rows = _joined(rest, piece)
         begin = 0
         while len(rows.data) - begin >= stream.size:
-            yield _taken(rows, slice(begin, begin + stream.size)), every
+            yield _take_rows(rows, slice(begin, begin + stream.size)), every
             begin += stream.size
-        rest = _taken(rows, slice(begin, None)) if begin < len(rows.data) else None
+        rest = _take_rows(rows, slice(begin, None)) if begin < len(rows.data) else None
     if rest is not None:
         yield _filled(rest, stream.size)
 
@@ -269,7 +272,7 @@ def _placed(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, A
     )
 
 
-def _taken(rows: Rows, index: Any) -> Rows:
+def _take_rows(rows: Rows, index: Any) -> Rows:
     return Rows(rows.data[index], tuple(leaf[index] for leaf in rows.own))
 
 
@@ -285,7 +288,7 @@ def _joined(first: Rows | None, second: Rows) -> Rows:
 def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
     """Pad rows to a size, with a mask that is false for padding."""
     place = np.arange(size)
-    return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
+    return _take_rows(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
 
 
 def _holds_rows(leaf: Any, count: int) -> bool:

@@ -118,11 +118,11 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
     many = dof >= _FREEDOM
     near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _SERIES_RATIO)))
     far, near = (value - float(np.log(2)) for value in (far, near))  # logarithms of F(-|z|)
-    below = jnp.where(x < _SERIES_RATIO, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
+    below = jnp.where(x < _SERIES_RATIO, far, jnp.where(many, _large_dof(jnp.abs(z), dof), near))
     return jnp.where(z > 0, log1mexp(below), below)
 
 
-def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
+def _large_dof(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return log F(-z) for z >= 0 and many degrees of freedom. In the tail F is the density times
     the integral of the relative density beyond. Nearer to the median, F is its value where the tail
     begins plus the integral up to z. No term is negative.
@@ -130,18 +130,20 @@ def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
     long = jnp.maximum(z, _QUADRATURE_SCALES)
     square = dof + long * long
     rate = (dof + 1) * long / square
-    places = _over(z, _LAGUERRE[0]) / rate[None]
+    places = _prepend_axis(z, _LAGUERRE[0]) / rate[None]
     fall = jnp.log1p(places * (2 * long[None] + places) / square[None])
-    left = _over(z, _LAGUERRE[1] * np.exp(_LAGUERRE[0])) * jnp.exp(-(dof[None] + 1) / 2 * fall)
+    left = _prepend_axis(z, _LAGUERRE[1] * np.exp(_LAGUERRE[0])) * jnp.exp(
+        -(dof[None] + 1) / 2 * fall
+    )
     tail = student_log_density(long, dof) + jnp.log(left.sum(0) / rate)
     width = long - z
-    places = z[None] + width[None] * _over(z, (_LEGENDRE[0] + 1) / 2)
+    places = z[None] + width[None] * _prepend_axis(z, (_LEGENDRE[0] + 1) / 2)
     density = jnp.exp(student_log_density(places, dof[None]))
-    between = width * (_over(z, _LEGENDRE[1] / 2) * density).sum(0)
+    between = width * (_prepend_axis(z, _LEGENDRE[1] / 2) * density).sum(0)
     return jnp.where(z > _QUADRATURE_SCALES, tail, jnp.log(jnp.exp(tail) + between))
 
 
-def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
+def _prepend_axis(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
     """Return values along a new axis before those of z."""
     return values.astype(z.dtype).reshape(-1, *(1,) * z.ndim)
 

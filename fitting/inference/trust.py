@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from .convergence import without_bias
+from .convergence import correct_bias
 from .emcee_run import TIMES_TAU
 from .parameters import names
 from .posterior import Posterior
@@ -79,7 +79,7 @@ def convergence_in_words(posterior: Posterior) -> str:
             "steps are missing."
         )
     if posterior.missing_steps:
-        behind = without_bias(tau, kept)
+        behind = correct_bias(tau, kept)
         likely = f" ({behind:.1f} is likely)" if math.isfinite(behind) else " by any factor"
         return (
             f"The chain of {posterior.steps} steps is, after its burn-in, {kept / tau:.0f} "

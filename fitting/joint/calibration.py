@@ -21,7 +21,7 @@ from ..reflectance.from_images.optimum import weighed
 from ..reflectance.from_images.pixel_area import recognise_points
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import View, cells_of, select
-from ..reflectance.from_images.shading_check import without_strangers
+from ..reflectance.from_images.shading_check import drop_strangers
 from ..reflectance.from_images.signal import Form, parameter_space
 from ..reflectance.models import check_index, has_lobe
 from ..reflectance.names import INDEX, Model
@@ -101,7 +101,7 @@ def calibrate(
     kind, source = Photographs, "from_photographs"
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
-    observation = without_strangers(measurement)
+    observation = drop_strangers(measurement)
     channels = len(observation.channels)
     brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
     if not fit_gamma:

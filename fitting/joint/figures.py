@@ -56,7 +56,7 @@ def noise_figure(calibration: JointCalibration) -> "Figure":
             residual = residual - np.einsum("jk,jkc->jc", found[0], model.image_errors)
         squares = cells.scatter + cells.count * residual**2
         count, squares, mean, variance = (
-            np.asarray(a).ravel() for a in (cells.count, squares, cells.mean, model.of_pixels)
+            np.asarray(a).ravel() for a in (cells.count, squares, cells.mean, model.pixel_variance)
         )
         seen = count > 0
         edges = np.quantile(mean[seen], np.linspace(0, 1, BINS + 1))

@@ -21,7 +21,7 @@ from ..reflectance.from_images.findings import (
 from ..reflectance.from_images.lights import light_in_shadows
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..report.section import Table
-from ..report.sentences import Finding, Numbers, said
+from ..report.sentences import Finding, Numbers, evaluate_findings
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
 from .misfit import APART, NOISE, UnequalPixels, unequal_pixels
@@ -42,7 +42,7 @@ OfChannel = tuple[JointCalibration, JointFit]
 def findings(calibration: JointCalibration) -> tuple[str, ...]:
     """Return all findings about a joint calibration."""
     return (
-        *said(GIVEN, calibration),
+        *evaluate_findings(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.fits),
     )
 
@@ -167,7 +167,7 @@ def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
     system gain and read noise.
     """
     judged = hiding_pixels(of)
-    if judged is None or not judged[1] or judged[0].found != found:
+    if judged is None or not judged[1] or judged[0].are_significant != found:
         return None
     seen = judged[0]
     remedy = ", or flats and darks"

@@ -37,7 +37,7 @@ from ..inference.parameters import (
     to_natural,
     to_unconstrained,
 )
-from ..reflectance.from_images.lights import SETTLED, WIDEST, turned
+from ..reflectance.from_images.lights import SETTLED, WIDEST, rotate_lights
 from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import Photographs, turn_prior_of
 from ..reflectance.from_images.samples import Selection, View, average, cells_of, select
@@ -117,14 +117,14 @@ def fit_channel(
     if about is not None:
         grid = replace(grid, geometry=replace(grid.geometry, about=jnp.asarray(about)))
         data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
-    data, start, gone = without_small_errors(data, start)
+    data, start, gone = drop_small_errors(data, start)
     about_start = data
     data, solution = _rounds(grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        data, solution = _rounds(grid, *with_misfit(about_start, start))
+        data, solution = _rounds(grid, *add_misfit(about_start, start))
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = -eqx.filter_jit(jax.hessian(log_prior, argnums=1))(data.space, solution.vector)
     by_data = np.asarray(solution.information - of_prior, np.float64)
@@ -271,7 +271,7 @@ def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
     return found / max(cells - len(data.space), 1), cells
 
 
-def without_small_errors(
+def drop_small_errors(
     data: JointData, vector: Array
 ) -> tuple[JointData, Array, tuple[LeftOut, ...]]:
     """Return the data and the unconstrained vector without those stated errors that are negligible
@@ -308,7 +308,7 @@ def without_small_errors(
     return data, vector[np.array(left)], gone
 
 
-def with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
+def add_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
     """Return the data and the start of a model with a misfit, whose size is estimated from the
     cells' residuals.
 
@@ -349,7 +349,7 @@ def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
         turns = found[0]
         across = np.zeros((len(observation.held_out), 2))
         across[fit.grid.lights] = turns.T
-        fit = fit_channel(turned(observation, across), channel, form, about=turns)
+        fit = fit_channel(rotate_lights(observation, across), channel, form, about=turns)
     return fit
 
 

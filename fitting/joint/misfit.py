@@ -120,7 +120,7 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
     model = np.linalg.inv(total)
     stated = not set(BY_IMAGE).isdisjoint(names(fit.space))
     if fit.unexplained is not None:  # a misfit that is equal under all lights makes images agree
-        found = replace(found, covariance=_at_least(found.covariance, total))
+        found = replace(found, covariance=_enlarge_covariance(found.covariance, total))
     elif stated and effect <= chance and no_more_than(found, model):
         return None
     covariance, freedom = np.linalg.inv(fit.information), np.full(len(own), np.inf)
@@ -161,7 +161,7 @@ def _sandwich(
     return cluster_robust(columns.reshape(count, -1), total, labels, slopes=slopes, prior=prior)
 
 
-def _at_least(covariance: Matrix, information: Matrix) -> Matrix:
+def _enlarge_covariance(covariance: Matrix, information: Matrix) -> Matrix:
     """Return the covariance, enlarged along those directions where it is smaller than the inverse
     of the information.
     """
@@ -333,7 +333,7 @@ class UnequalPixels:
     moved: float  # standard errors by which `most` would move the gain or the read noise
 
     @property
-    def found(self) -> bool:
+    def are_significant(self) -> bool:
         """Return whether unequal pixels are significant, so that the fitted gain and read noise
         include them.
         """
@@ -343,7 +343,7 @@ class UnequalPixels:
         """Return whether unequal pixel gains make system gain and read noise unidentifiable.
         `stated` is whether the rig states the size of the differences between pixel gains.
         """
-        return self.found or (not stated and self.moved > TOLERATED)
+        return self.are_significant or (not stated and self.moved > TOLERATED)
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:

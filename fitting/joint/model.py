@@ -220,7 +220,7 @@ class Prediction(eqx.Module):
     gains: Table | None = None  # DN for pixel gains of one standard deviation; None for equal ones
 
     @property
-    def of_pixels(self) -> Table:
+    def pixel_variance(self) -> Table:
         """Return the variance of one pixel without errors of its image, DN^2."""
         own = (one for one in (self.gains, self.misfit) if one is not None)
         return self.variance + sum(one**2 for one in own)

@@ -79,7 +79,7 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
 
     model = predicted(values_at(vector, data), data, data.cells)
     slopes = jax.jacfwd(mean_of)(vector)
-    variance = model.of_pixels[0] + jnp.sum((slopes @ covariance) * slopes, axis=1)
+    variance = model.pixel_variance[0] + jnp.sum((slopes @ covariance) * slopes, axis=1)
     if model.image_errors is not None:
         variance = variance + jnp.sum(model.image_errors[0] ** 2, axis=0)
     return model.mean[0], variance

@@ -304,13 +304,13 @@ def _locate_by_highlights(
             flux = flux * np.sum(found**2, axis=1)  # radiant intensity
         own[:, 3, 3] = np.square([one.flux_sd for one in seen[0]])
     sds = np.sqrt([np.diag(outline.covariance) for outline in outlines])
-    lights = _with_covariance(names, found, flux, shared, own, near, values, sds, findings)
+    lights = _add_covariances(names, found, flux, shared, own, near, values, sds, findings)
     if near:
         _refuse_far(found, lights.covariance, names)
     return lights
 
 
-def _with_covariance(
+def _add_covariances(
     names: list[str],
     places: Float[np.ndarray, "lights 3"],
     strengths: Float[np.ndarray, " lights"],
@@ -442,7 +442,7 @@ def _locate_by_shading(
             "standard deviations say.",
         )
     values, sds = found.values[None], np.sqrt(np.diag(found.outline_covariance))[None]
-    return _with_covariance(names, toward, size, shared, own, False, values, sds, findings)
+    return _add_covariances(names, toward, size, shared, own, False, values, sds, findings)
 
 
 def _about_mean(

@@ -62,13 +62,15 @@ def fitted_area_changes(
     own, own_error = own_area_change(fit)
     mixing = "pixel_mixing" in fit.values
     args = mu[bright], jnp.asarray(found[usable] / scale), jnp.asarray(variances[usable] / scale**2)
-    values, errors = (np.array(x) for x in _fitted(jnp.asarray(own), *args, mixing=mixing))
+    values, errors = (
+        np.array(x) for x in _fit_area_changes(jnp.asarray(own), *args, mixing=mixing)
+    )
     errors[0, 0] = own_error
     return AreaChanges(values, errors)
 
 
 @eqx.filter_jit
-def _fitted(
+def _fit_area_changes(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
     """Fit the a_ij at fixed a_00, and return their values and standard errors. If the model

@@ -60,12 +60,12 @@ from .statement import (
     LikelihoodFit,
     base_space,
     choose_model,
-    fitted,
+    fit_model,
     likelihood_sheet,
+    make_problem,
     noise_data,
     posterior_problem,
-    restated,
-    stated,
+    replace_parameters,
 )
 from .window import needed_window, offset_data
 
@@ -82,7 +82,7 @@ def extra_in_flats(
     return {name: one for name, one in found.items() if one.believed}
 
 
-def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
+def subtract_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
     """Return the measurement with the row and column noise of its flats reduced to the row and
     column noise of its darks."""
     bright = measurement.bright
@@ -155,7 +155,7 @@ class NoiseCalibration(ShownInNotebooks):
     periodic: tuple[Periodic, ...] = ()
     counted: CodeFit | None = None
 
-    def _of_likelihood(self) -> Likelihood:
+    def _require_likelihood(self) -> Likelihood:
         if self.likelihood is None:
             raise InputError(self.no_likelihood)
         return self.likelihood
@@ -163,23 +163,23 @@ class NoiseCalibration(ShownInNotebooks):
     @property
     def linear(self) -> LikelihoodFit:
         """The likelihood fit of a linear camera; `InputError` where it has no maximum."""
-        return self._of_likelihood().linear
+        return self._require_likelihood().linear
 
     @property
     def chosen(self) -> LikelihoodFit:
         """The fit of the chosen model; `InputError` where it has no maximum."""
-        return self._of_likelihood().chosen
+        return self._require_likelihood().chosen
 
     @property
     def posterior(self) -> Posterior:
         """The posterior of the chosen model; `InputError` where it has no maximum."""
-        return self._of_likelihood().posterior
+        return self._require_likelihood().posterior
 
     @property
     def gain(self) -> float:
         """The gain K, DN/e-, as in the report's table: by the likelihood, or by the standard's
         regression if the likelihood has no maximum."""
-        estimate = self.shown.get("system_gain")
+        estimate = self.estimates.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
         return of_standard if estimate is None or estimate.value is None else estimate.value
 
@@ -189,7 +189,7 @@ class NoiseCalibration(ShownInNotebooks):
         return unequal_gains_of(self.periodic)
 
     @property
-    def shown(self) -> dict[str, Estimate]:
+    def estimates(self) -> dict[str, Estimate]:
         """The likelihood's figures and parameters by name, as the report's tables give them."""
         if self.likelihood is None:
             return {}
@@ -207,7 +207,7 @@ class NoiseCalibration(ShownInNotebooks):
             return float(self.standard.values["quantum_efficiency"]) / 100
         values = dict(zip(names(self.posterior.space), self.posterior.mode, strict=True))
         at_mode = float(values["responsivity"] / values["system_gain"])
-        shown = (self.shown["quantum_efficiency"].value or 0.0) / 100
+        shown = (self.estimates["quantum_efficiency"].value or 0.0) / 100
         return at_mode if at_mode > 1 >= shown else shown
 
     @property
@@ -219,7 +219,7 @@ class NoiseCalibration(ShownInNotebooks):
             values, errors = self.standard.values, self.standard.errors
             value, error = (float(x["quantum_efficiency"]) for x in (values, errors))
             return (value - 2 * error) / 100
-        interval = self.shown["quantum_efficiency"].interval_95
+        interval = self.estimates["quantum_efficiency"].interval_95
         return None if interval is None else interval[0] / 100
 
 
@@ -240,7 +240,7 @@ def calibrate(
     require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
     measurement = as_dtype(measurement, np.float64)  # the caller may use float32
     flicker = extra_in_flats(measurement, linear_levels(measurement))
-    measurement = without_flicker(measurement, flicker)
+    measurement = subtract_flicker(measurement, flicker)
     within = ranges(measurement)
     usable = linear_levels(measurement)
     # Taps that differ only in remarks share one compiled program.
@@ -249,13 +249,13 @@ def calibrate(
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
     counted = fitted_tables(measurement)
-    of_tables = None if counted is None else counted.among(usable)
+    of_tables = None if counted is None else counted.counted_levels(usable)
     data = noise_data(measurement, usable, window=window, offsets=offsets, counted=of_tables)
     likelihood, why, sheet = None, "", ()
     try:
         linear, chosen = choose_model(
             measurement,
-            stated(base_space(measurement, within, offsets=offsets), *data),
+            make_problem(base_space(measurement, within, offsets=offsets), *data),
             standard.values,
             trend=drifting(measurement, usable),
             sharing=are_significant(measurement, usable),
@@ -263,7 +263,7 @@ def calibrate(
         posterior = _posterior(chosen, sampling, seed)
         of_chosen = _standard_gain_of(chosen, within, usable)
         likelihood = Likelihood(linear, chosen, posterior, of_chosen)
-        sheet = _with_limits(_likelihood_estimates(chosen, posterior, within, usable), chosen)
+        sheet = _limit_read_noise(_likelihood_estimates(chosen, posterior, within, usable), chosen)
     except InputError as error:
         why = str(error)
     periodic = periodic_structure(measurement, usable)
@@ -272,7 +272,7 @@ def calibrate(
     if measurement.bright.spatial_variance is not None:
         fit_to_all = fitted_pattern(measurement, usable)
         if likelihood is not None:
-            fit_to_all = _behind_rounding(fit_to_all, likelihood.posterior)
+            fit_to_all = _replace_rounded_dsnu(fit_to_all, likelihood.posterior)
         patterns = standard_pattern(measurement, within), fit_to_all
     return NoiseCalibration(
         measurement=measurement,
@@ -299,13 +299,13 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
         return calibration
-    problem = restated(chosen.problem, chosen.space + lacking)
-    fit = fitted(problem, calibration.standard.values)
+    problem = replace_parameters(chosen.problem, chosen.space + lacking)
+    fit = fit_model(problem, calibration.standard.values)
     posterior = _posterior(fit, None, calibration.posterior.seed)
     return replace(calibration, likelihood=replace(likelihood, chosen=fit, posterior=posterior))
 
 
-def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
+def _replace_rounded_dsnu(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
     """Return the fixed pattern. If rounding distorts the measured DSNU, the DSNU is the estimate by
     the likelihood."""
     labels = names(posterior.space)
@@ -439,7 +439,7 @@ def finest_read_noise(fit: LikelihoodFit) -> float:
     return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
 
 
-def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
+def _limit_read_noise(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
     """Return the data sheet. If rounding hides the read noise, its value is replaced by an upper
     limit."""
     finest, found = finest_read_noise(fit), []

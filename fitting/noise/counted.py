@@ -167,7 +167,7 @@ class CodeFit:
     numbers: int  # number of counted values, over pixels and frames
     failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
 
-    def among(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
+    def counted_levels(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
         """Return the result as an input of the likelihood of photon transfer with the bright levels
         `usable`; None if the fit failed."""
         if self.failures:

@@ -10,7 +10,7 @@ from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
 from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
-from ..report.sentences import Finding, Numbers, said
+from ..report.sentences import Finding, Numbers, evaluate_findings
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration, lamp_error, steady_linearity
 from .counted import SUB_ELECTRON
@@ -40,7 +40,7 @@ LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Return the findings that apply to a calibration, as sentences, the most consequential
     first."""
-    return said(FINDINGS, calibration)
+    return evaluate_findings(FINDINGS, calibration)
 
 
 def is_impossible(calibration: NoiseCalibration) -> bool:
@@ -104,21 +104,21 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
     return None if measurement.site is not None else taps_of(_periodic(calibration))
 
 
-def _as_they_are(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
+def _quote(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
     """Make a finding whose complete sentences another function returns."""
     return Finding(key, lambda c: [{"sentence": one} for one in sentences(c)], "{sentence}")
 
 
-def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
+def _value_and_error(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
     """Return the value and standard error of one of the likelihood's parameters, as the report's
     tables give them."""
-    estimate = calibration.shown[name]
+    estimate = calibration.estimates[name]
     return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
 
 
 def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
     """Format a parameter with its error, by default in per cent."""
-    return format_with_error(*(scale * x for x in _shown(calibration, name)))
+    return format_with_error(*(scale * x for x in _value_and_error(calibration, name)))
 
 
 def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
@@ -126,7 +126,7 @@ def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
     both errors explain."""
     sentences = []
     for key, name, stated, sd in calibration.measurement.stated:
-        estimate = calibration.shown.get(name)
+        estimate = calibration.estimates.get(name)
         if estimate is None or estimate.value is None or not estimate.standard_error:
             continue
         found, error = float(estimate.value), float(np.hypot(estimate.standard_error, sd))
@@ -153,7 +153,7 @@ def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
         return None
     if own == "scatter":
         return {"error": 100 * error}
-    drift = _shown(calibration, "light_drift")
+    drift = _value_and_error(calibration, "light_drift")
     found: Numbers = {
         "way": "rises" if drift[0] > 0 else "falls",
         "change": format_with_error(100 * abs(drift[0]), 100 * drift[1]),
@@ -196,7 +196,10 @@ def _flicker(calibration: NoiseCalibration) -> list[Numbers]:
     bright, found = calibration.measurement.bright, []
     for axis, name in enumerate(LINES):
         if name in calibration.flicker and bright.flicker is not None:
-            out, size = np.asarray(bright.flicker)[axis], _of_lines(calibration.flicker[name], 1)
+            out, size = (
+                np.asarray(bright.flicker)[axis],
+                _format_lines(calibration.flicker[name], 1),
+            )
             share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
             found.append({"lines": name, "line": name[:-1], "size": size, "share": 100 * share})
     return found
@@ -269,7 +272,7 @@ def _compression(calibration: NoiseCalibration) -> Numbers | None:
     chosen, likelihood = calibration.chosen, calibration.likelihood
     assert likelihood is not None
     drop = float(gain_drop(chosen.values, chosen.data))
-    loss, error = _shown(calibration, "compression")
+    loss, error = _value_and_error(calibration, "compression")
     strength = f", {abs(loss) / error:.0f} standard errors from none"
     return {
         "way": "falls" if drop > 0 else "rises",
@@ -286,7 +289,7 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
     or as photons; None if the offset is not significant."""
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
-    offset, error = _shown(calibration, "light_offset")
+    offset, error = _value_and_error(calibration, "light_offset")
     if abs(offset) < LEAST_OFFSET_SIGMAS * error:
         return None
     scale, late = 1e6 if in_time else 1.0, ""
@@ -312,7 +315,7 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not shifted or not _linear(False, calibration):
         return None
-    offset, _ = _shown(calibration, "light_offset")
+    offset, _ = _value_and_error(calibration, "light_offset")
     measurement, usable = calibration.measurement, calibration.usable
     bright = measurement.bright
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
@@ -320,7 +323,7 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     return {"moved": abs(moved), "side": "below" if moved > 0 else "above"}
 
 
-def _of_the_dimmest(calibration: NoiseCalibration) -> bool:
+def _dimmest_offset(calibration: NoiseCalibration) -> bool:
     offset = _light_offset(True, calibration) or _light_offset(False, calibration)
     if not offset or not _linear(False, calibration):
         return False
@@ -352,7 +355,7 @@ def _brighter_fatter(calibration: NoiseCalibration) -> Numbers | None:
     return {"share": share, "own": format_with_error(*(x * 1e6 for x in own))}
 
 
-def _by_covariances(known: bool, calibration: NoiseCalibration) -> bool:
+def _covariances_known(known: bool, calibration: NoiseCalibration) -> bool:
     there = _has("brighter_fatter", calibration)
     return there and are_known(calibration.chosen.data.neighbours) == known
 
@@ -362,7 +365,7 @@ def _black_scatter(calibration: NoiseCalibration) -> Numbers | None:
         return None
     dark = calibration.measurement.dark
     noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
-    wander = _shown(calibration, "black_scatter")[0]
+    wander = _value_and_error(calibration, "black_scatter")[0]
     return {"size": _size(calibration, "black_scatter", 1), "ratio": wander / noise}
 
 
@@ -378,7 +381,7 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
     }
 
 
-def _rest(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
+def _misfit(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding on the chosen model's chi-square; None if the finding does
     not apply. With `explained`, the finding applies if only the misfit of the linear model is
     significant. Otherwise the finding applies if the misfit of the chosen model is significant."""
@@ -550,7 +553,7 @@ def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
         if one.believed:
             rest = float(np.sqrt(max(whole - one.variance, 0)))
             read = {"read": np.sqrt(whole) / scale, "rest": rest / scale}
-            found.append({"lines": name, "size": _of_lines(one, 1 / scale), **read})
+            found.append({"lines": name, "size": _format_lines(one, 1 / scale), **read})
     return found
 
 
@@ -559,13 +562,13 @@ def _banding(calibration: NoiseCalibration) -> list[Numbers]:
     electrons."""
     kind, scale = "" if _glow(calibration) else "banding, ", 1 / calibration.gain
     return [
-        {"lines": name, "size": _of_lines(one, scale), "kind": kind}
+        {"lines": name, "size": _format_lines(one, scale), "kind": kind}
         for one, name in zip(unequal_offsets(calibration.measurement.dark), LINES, strict=True)
         if one.believed
     ]
 
 
-def _of_lines(found: Found, scale: float) -> str:
+def _format_lines(found: Found, scale: float) -> str:
     """Format the standard deviation of rows or columns with its error, times a scale."""
     size = found.deviation
     return format_with_error(scale * size, scale * found.error / (2 * size))
@@ -593,7 +596,7 @@ def _unequal_gains(calibration: NoiseCalibration) -> list[Numbers]:
         return []
     found = unequal_gains(calibration.measurement, calibration.usable)
     return [
-        {"lines": name, "size": _of_lines(one, 100)}
+        {"lines": name, "size": _format_lines(one, 100)}
         for one, name in zip(found, LINES, strict=True)
         if one.believed
     ]
@@ -621,10 +624,8 @@ _CODES = (
 _NOT_EQUAL = "Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance"
 
 FINDINGS = (
-    _as_they_are(
-        "left out", lambda c: (*c.measurement.bright.left_out, *c.measurement.dark.left_out)
-    ),
-    _as_they_are("doubts", lambda c: [doubt.sentence for doubt in c.measurement.doubts]),
+    _quote("left out", lambda c: (*c.measurement.bright.left_out, *c.measurement.dark.left_out)),
+    _quote("doubts", lambda c: [doubt.sentence for doubt in c.measurement.doubts]),
     Finding(
         "flicker",
         _flicker,
@@ -642,7 +643,7 @@ FINDINGS = (
         "non-linearity cannot be detected. Let lamp and camera warm up, or take the levels in "
         "random order.",
     ),
-    _as_they_are("processing", processing),
+    _quote("processing", processing),
     Finding(
         "low efficiency",
         partial(_efficiency, "low"),
@@ -663,8 +664,8 @@ FINDINGS = (
         "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file "
         "has 100 %, and a gain with the same signal.",
     ),
-    _as_they_are("periodic", periodic_findings),
-    _as_they_are("converter", _converter),
+    _quote("periodic", periodic_findings),
+    _quote("converter", _converter),
     Finding(
         "levels of one converter",
         partial(_two_converters, True),
@@ -755,7 +756,7 @@ FINDINGS = (
     ),
     Finding(
         "dimmest level",
-        _of_the_dimmest,
+        _dimmest_offset,
         "Only the dimmest level shows this offset: instead, its light or its exposure time may be "
         "wrong.",
     ),
@@ -768,13 +769,13 @@ FINDINGS = (
     ),
     Finding(
         "covariances",
-        partial(_by_covariances, True),
+        partial(_covariances_known, True),
         "The covariances of neighbours, which a compression does not raise, were fitted with it. "
         "Variance and covariances add up to the noise of independent electrons.",
     ),
     Finding(
         "no covariances",
-        partial(_by_covariances, False),
+        partial(_covariances_known, False),
         "Only the shape of the variance distinguishes it from a wrong gain. Covariances of "
         "neighbouring pixels would too, but a table, a mosaic, or noise shared by rows or columns "
         "does not show them. Give the frames of a monochrome camera in a rig.",
@@ -819,13 +820,13 @@ FINDINGS = (
     ),
     Finding(
         "misfit",
-        partial(_rest, False),
+        partial(_misfit, False),
         "The remaining misfit is significant: chi-square per degree of freedom is {ratio:.2f} "
         "({p}), so all errors of the likelihood are multiplied by {factor:.2f}.",
     ),
     Finding(
         "explained",
-        partial(_rest, True),
+        partial(_misfit, True),
         "This explains the measurement: chi-square per degree of freedom is {ratio:.2f} ({p}).",
     ),
     Finding(
@@ -883,7 +884,7 @@ FINDINGS = (
         "{hours:.2g} hours. If they are milliseconds, the dark current is {other:.3g} e⁻/s, not "
         "{current:.3g}, and light per second is 1000 times as large: give seconds.",
     ),
-    _as_they_are("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
+    _quote("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
     Finding(
         "no saturation",
         _unsaturated,
@@ -980,7 +981,7 @@ FINDINGS = (
         lambda c: c.likelihood is not None and not c.chosen.optimum.stationary,
         "The likelihood fit did not converge. Do not use its figures.",
     ),
-    _as_they_are("solver", _solver),
-    _as_they_are("remarks", lambda c: c.measurement.remarks),
-    _as_they_are("contradicted", _contradicted),
+    _quote("solver", _solver),
+    _quote("remarks", lambda c: c.measurement.remarks),
+    _quote("contradicted", _contradicted),
 )

@@ -177,7 +177,7 @@ class LevelSums:
     def _sample_of(self, name: str, frame: np.ndarray) -> FrameSample:
         return frame_sample(name, self.live.filled(frame), top=self._top)
 
-    def _without_flicker(self, average: np.ndarray) -> float:
+    def _remove_flicker(self, average: np.ndarray) -> float:
         """Remove from the sums the temporal variance that a flickering lamp causes where its light
         is uneven. Return the factor by which the remaining variance is too large, because the
         average frame that estimates the pattern of the light contains noise.
@@ -212,7 +212,7 @@ class LevelSums:
         shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
         return 1 + (1 - 2 * shot) * share / (count * (count - 1))
 
-    def _of_bands(
+    def _band_variance(
         self, average: np.ndarray, parts: TemporalVariance, of_lines: tuple[np.ndarray, np.ndarray]
     ) -> np.ndarray | float:
         """Return the temporal variance of each pixel, DN^2, that bands add where the light of a row
@@ -244,14 +244,14 @@ class LevelSums:
         """Return the statistics of the added frames, at least two."""
         count, total, live = len(self.shown), self._total, self.live
         average = self.first + total / count + np.mean(self._shifts)
-        excess = self._without_flicker(average)
+        excess = self._remove_flicker(average)
         variance_of = partial(self._squares.variance, total=total, count=count)
         temporal = variance_of("pixels") / excess
         wandering = float(np.var(self._shifts, ddof=1))
         of_lines = variance_of("rows"), variance_of("columns")
         rows, columns = (float(np.nanmean(own)) for own in of_lines)
         parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)
-        bands = self._of_bands(average, parts, of_lines)
+        bands = self._band_variance(average, parts, of_lines)
         if not np.isscalar(bands):
             temporal = temporal - bands
             parts = temporal_variance(live, live.mean(temporal), rows, columns, wandering)

@@ -119,13 +119,13 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     n, rest = float(levels.pixels), (temporal - common) / frames
     pattern = measured - rest
 
-    by_noise = _by_noise(pattern, rest, frames) / n
+    by_noise = _noise_variance(pattern, rest, frames) / n
     for fixed, varying, count in _lines(levels):
-        by_noise = by_noise + _by_noise(fixed, np.maximum(varying, 0) / frames, frames) / count
+        by_noise += _noise_variance(fixed, np.maximum(varying, 0) / frames, frames) / count
     return pattern, by_noise
 
 
-def _by_noise(pattern: np.ndarray, rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def _noise_variance(pattern: np.ndarray, rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return the sampling variance, DN^4, of the square of one deviation with the variance
     `pattern` if temporal noise of the variance `rest` remains in the average of the frames."""
     return 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
@@ -138,7 +138,7 @@ def local_variances(levels: Levels) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     own, frames = np.asarray(levels.local_pattern), np.asarray(levels.frames)
     # Differences of neighbours have 1.5 times the sampling variance of single pixels.
-    by_noise = 1.5 * _by_noise(own, np.asarray(levels.variance) / frames, frames)
+    by_noise = 1.5 * _noise_variance(own, np.asarray(levels.variance) / frames, frames)
     return own, by_noise / float(levels.pixels)
 
 
@@ -156,11 +156,12 @@ def local_pattern(
         mean = float(np.average(values, weights=weights)) if values.size else 0.0
         return Spread(mean, float(weights.sum() ** -0.5) if values.size else np.inf, ())
 
-    lit = np.stack(local_variances(measurement.bright))[:, usable]
-    unlit = np.stack(local_variances(measurement.dark))
+    lit, unlit = local_variances(measurement.bright), local_variances(measurement.dark)
+    assert lit is not None
+    assert unlit is not None
     square = signal[usable] ** 2
-    gains = (lit[0] - unlit[0, matched]) / square, (lit[1] + unlit[1, matched]) / square**2
-    return spread(*unlit), spread(*gains)
+    gains = (lit[0][usable] - unlit[0][matched]) / square
+    return spread(*unlit), spread(gains, (lit[1][usable] + unlit[1][matched]) / square**2)
 
 
 def unequal_offsets(dark: Levels) -> tuple[Found, Found]:

@@ -106,7 +106,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     """Compute the statistics as `reduce_rig` does, and also return the names of the used frames."""
     require(rig, "photon transfer")
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
-    rig, odd, remarks = _without_odd_heads(rig)
+    rig, odd, remarks = _drop_odd_heads(rig)
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
     darks = _pooled(rig.dark)
     light = [_light(rig, flat) for flat in flats]
@@ -213,7 +213,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads wait longer than they compute
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
     """Compute the statistics of the darks of a rig alone."""
-    rig, odd, _ = _without_odd_heads(rig)
+    rig, odd, _ = _drop_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
     entries = _pooled(rig.dark)
     dead = _dead(rig, [], entries, channel, load)
@@ -324,7 +324,7 @@ def _light(rig: Rig, flat: Flat) -> float | None:
     return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
 
 
-def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
+def _drop_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
     """Return the rig without the frames whose metadata contradict the rig, the dropped flats and
     darks, and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}

@@ -168,12 +168,12 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
         elif name not in values or not name.startswith("dark_current"):
             method, reason = LIKELIHOOD if name in values else "", _why_missing(calibration, name)
             listed.append(not_determined(quantity, reason, method=method))
-    own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
+    own = [found for name, found in calibration.estimates.items() if name not in by_likelihood]
     listed += [replace(found, method=LIKELIHOOD) for found in own]
-    return tuple(_without_doubted(calibration, listed))
+    return tuple(_replace_doubted(calibration, listed))
 
 
-def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
+def _replace_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
     """Return the figures. If contradictory or processed frames do not determine a figure, the
     reason replaces its value."""
     doubts = calibration.measurement.doubts
@@ -230,7 +230,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         return (not_determined(quantity, reason),)
     gain = float(calibration.standard.values["system_gain"])
     gain_error = float(calibration.standard.errors["system_gain"]) / gain
-    fitted = calibration.shown.get("system_gain")
+    fitted = calibration.estimates.get("system_gain")
     found = []
     for pattern, method, k, relative in (
         (calibration.patterns[0], STANDARD, gain, gain_error),

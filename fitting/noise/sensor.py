@@ -26,7 +26,7 @@ from .model import compressed, electrons_and_steps
 from .neighbours import shares
 from .pattern import SIGNIFICANCE_SIGMAS
 from .shared import drift, temporal_lines
-from .statement import fitted_without
+from .statement import fit_without_levels
 
 AT_FULL_SCALE = 0.98  # share of full scale from which the brightest level is at the converter's end
 CUT = 0.5  # share of the expected shot noise below which a level has full wells
@@ -130,18 +130,18 @@ class Numbers(eqx.Module):
         """The signal X of the brightest level, DN."""
         return self.about.top
 
-    def of(self, name: str) -> Float[np.ndarray, " draws"]:
+    def parameter(self, name: str) -> Float[np.ndarray, " draws"]:
         """Return the values of one parameter."""
         return self.natural[:, self.about.labels.index(name)]
 
-    def having(self, draws: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
+    def replace_parameters(self, draws: dict[str, Float[np.ndarray, " draws"]]) -> "Numbers":
         """Return the record with the values of these parameters replaced."""
         natural = self.natural.copy()
         for name, values in draws.items():
             natural[:, self.about.labels.index(name)] = values
         return replace(self, natural=natural)
 
-    def at(self, rows: Int[np.ndarray, " draws"]) -> "Numbers":
+    def select_draws(self, rows: Int[np.ndarray, " draws"]) -> "Numbers":
         """Return the parameters of some draws."""
         beside = {name: one[rows] for name, one in self.beside.items()}
         return replace(self, natural=self.natural[rows], beside=beside)
@@ -177,7 +177,7 @@ def drawn_numbers(
         kernel=fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None,
         shares=shares(measurement, usable, power=1) if "pixel_mixing" in labels else None,
     )
-    beside = _beside_the_likelihood(calibration, len(rows), asked)
+    beside = _other_parameters(calibration, len(rows), asked)
     return Numbers(about, np.stack([mode, *natural]), beside)
 
 
@@ -224,11 +224,11 @@ def mode_without(
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
     """Fit the same model without some levels; return the optimum of the fit and its covariance."""
     chosen = calibration.chosen
-    optimum = fitted_without(chosen, left_out)
+    optimum = fit_without_levels(chosen, left_out)
     return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
 
 
-def _beside_the_likelihood(
+def _other_parameters(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """Return the sensor's parameters that are not in the likelihood, by field name: the best

@@ -60,7 +60,7 @@ class Setting:
         return ", ".join(part for part in (self.gain_label, self.temperature_label) if part)
 
 
-def by_setting(rig: Rig) -> dict[Setting, Rig]:
+def split_by_setting(rig: Rig) -> dict[Setting, Rig]:
     """Split a rig into one rig for each gain and temperature."""
     flats, darks = _levels_by_setting(rig, rig.flat), _levels_by_setting(rig, rig.dark)
     settings = {*flats, *darks}
@@ -95,7 +95,7 @@ def _levels_by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, li
 
 def require_one_setting(rig: Rig, remedy: str) -> None:
     """Raise InputError if a rig has flats or darks of several gains or temperatures."""
-    settings = list(by_setting(rig))
+    settings = list(split_by_setting(rig))
     if len(settings) > 1:
         labels = "; ".join(setting.label for setting in settings)
         raise InputError(

@@ -111,12 +111,14 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     seen = {name for one in each for name in drawn_numbers(one).beside} - {"full_well"}
     numbers = [drawn_numbers(one, asked=frozenset(seen)) for one in each]
     count = min(len(one.natural) for one in numbers)
-    numbers, findings = _common_die([_shuffled(one, i, count) for i, one in enumerate(numbers)])
-    widest = int(np.argmax([float(one.top) / one.of("system_gain")[0] for one in numbers]))
+    numbers, findings = _common_die([_shuffle(one, i, count) for i, one in enumerate(numbers)])
+    widest = int(np.argmax([float(one.top) / one.parameter("system_gain")[0] for one in numbers]))
     sensors = [sensors_of(one) for one in numbers]
     rates = None
     if not numbers[0].about.photons_known:
-        rates = np.stack([one.of("signal_rate") / one.of("system_gain") for one in numbers], 1)
+        rates = np.stack(
+            [one.parameter("signal_rate") / one.parameter("system_gain") for one in numbers], 1
+        )
     every = _joined(tuple(sensors), rates, widest, camera)
     return SensorOfSites(*best_and_draws(every), findings)
 
@@ -229,11 +231,11 @@ def tap_sensor(sensor: Sensor, tap: int) -> Sensor:
     return replace(sensor, taps=None, **found)
 
 
-def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
+def _shuffle(numbers: Numbers, seed: int, count: int) -> Numbers:
     """Return the draws in random order, so that draws of two taps that used the same seed are
     independent."""
     order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
-    return numbers.at(order)
+    return numbers.select_draws(order)
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
@@ -241,7 +243,9 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
     findings on properties that differ."""
     labels = set.intersection(*(set(one.about.labels) for one in each))
     shared = [
-        name for name in COMMON if name in labels and all(one.of(name)[1:].std() for one in each)
+        name
+        for name in COMMON
+        if name in labels and all(one.parameter(name)[1:].std() for one in each)
     ]
     own = [name for name in OWN_NAMES if name in labels]
     tables = [np.stack([_scaled(one, name) for name in (*own, *shared)], 1) for one in each]
@@ -273,10 +277,10 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
             natural[:, labels.index(name)] = column
         one = replace(one, about=replace(one.about, **shape), natural=natural)
         for name in shared:
-            per_charge = (one.top / one.of("system_gain")) ** COMMON[name][1]
-            natural[:, labels.index(name)] = one.of(name) * per_charge
+            per_charge = (one.top / one.parameter("system_gain")) ** COMMON[name][1]
+            natural[:, labels.index(name)] = one.parameter(name) * per_charge
         found.append(one)
-    return _with_one_beside(found), sentences
+    return _average_other_parameters(found), sentences
 
 
 def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
@@ -291,8 +295,8 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
     """Return a parameter in a unit that is common to all taps. A parameter whose effect grows with
     the charge is given per electron."""
-    per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
-    return numbers.of(name) * per_charge
+    per_charge = (numbers.parameter("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
+    return numbers.parameter(name) * per_charge
 
 
 def _unequal(
@@ -315,10 +319,10 @@ def _unequal(
     )
 
 
-def _with_one_beside(each: Sequence[Numbers]) -> list[Numbers]:
+def _average_other_parameters(each: Sequence[Numbers]) -> list[Numbers]:
     """Replace five properties of each tap by their means over all taps, in electrons: the noise of
     rows, of columns and of frames, DSNU and full well."""
-    gains = [one.of("system_gain") for one in each]
+    gains = [one.parameter("system_gain") for one in each]
     for name in {name for one in each for name in one.beside} - {"prnu"}:
         power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
         there = [

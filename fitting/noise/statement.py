@@ -132,7 +132,7 @@ def noise_data(
     return inputs, jnp.stack(rows, axis=1)
 
 
-def stated(
+def make_problem(
     space: ParameterSpace, inputs: NoiseData, rows: Rows, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
     """Make the problem of a camera with these parameters, and with the parameters of candidate
@@ -141,13 +141,13 @@ def stated(
     return Problem(free, predict, LevelStatistics(), rows, inputs=inputs)
 
 
-def restated(
+def replace_parameters(
     problem: Problem, space: ParameterSpace, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
     """Make a problem with the same data and other parameters."""
     assert problem.present is not None  # darks have no T
     rows = jnp.where(problem.present, problem.data, jnp.nan)
-    return stated(space, problem.inputs, rows, candidates=candidates)
+    return make_problem(space, problem.inputs, rows, candidates=candidates)
 
 
 def base_space(
@@ -161,7 +161,7 @@ def base_space(
     return (*space, DARK_CURRENT) if within.dark_exposures > 2 else space
 
 
-def named(space: ParameterSpace, vector: Float[Array, " p"]) -> dict[str, Array]:
+def natural_values(space: ParameterSpace, vector: Float[Array, " p"]) -> dict[str, Array]:
     """Convert an unconstrained vector to parameters in natural units, by name."""
     return dict(zip(names(space), to_natural(space, vector), strict=True))
 
@@ -206,7 +206,7 @@ class LikelihoodFit:
 
     @property
     def values(self) -> dict[str, Array]:
-        return named(self.space, jnp.asarray(self.optimum.vector))
+        return natural_values(self.space, jnp.asarray(self.optimum.vector))
 
     @property
     def covariance(self) -> np.ndarray:
@@ -284,7 +284,7 @@ def _best_start(problem: Problem, start: Array) -> Array:
     return starts[jnp.nanargmin(costs)]
 
 
-def fitted(
+def fit_model(
     problem: Problem,
     standard: Sheet,
     *,
@@ -300,7 +300,7 @@ def fitted(
         optimum = search(problem, start[None], without=without)
     except InputError as error:
         if near is not None:  # the other model's optimum is out of bounds for this model
-            return fitted(problem, standard, without=without)
+            return fit_model(problem, standard, without=without)
         raise InputError(
             "the likelihood of the levels is nowhere finite; look for levels whose frames are all "
             "alike, as clipped or hardly dithered ones are, or whose light flickers within a "
@@ -316,7 +316,7 @@ def _chi_square(vector: Array, problem: Problem) -> Array:
     return jnp.sum(least_squares_residuals(vector, problem) ** 2)
 
 
-def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
+def fit_without_levels(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
     """Fit the same model without some levels, with the program that is already compiled. The first
     level cannot be left out."""
     gone, problem = jnp.asarray(left_out)[:, None], fit.problem
@@ -337,7 +337,7 @@ def fitted_without(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) ->
 def posterior_problem(fit: LikelihoodFit) -> Problem:
     """Return the problem of the fitted parameters alone, with errors enlarged by a significant
     misfit and with priors for random scatter."""
-    problem = restated(fit.problem, fit.space) if fit.without else fit.problem
+    problem = replace_parameters(fit.problem, fit.space) if fit.without else fit.problem
     scattered = any(name in SCATTERS for name in names(fit.space))
     return eqx.tree_at(
         lambda p: (p.likelihood, p.inputs),
@@ -355,7 +355,7 @@ def likelihood_sheet(
     at zero signal.
     """
     space, data, linearity = args
-    values = named(space, vector)
+    values = natural_values(space, vector)
     gain = values["system_gain"]
     responsivity = values["responsivity" if data.photons_known else "signal_rate"]
     dark_variance = (gain * values["read_noise"]) ** 2 + data.converter.rounding
@@ -435,19 +435,19 @@ def choose_model(
     """Return the fit of a linear camera, and the fit of the model that describes this camera.
 
     `sharing`: whether nearest neighbours covary significantly."""
-    linear = fitted(problem, standard)
+    linear = fit_model(problem, standard)
     if linear.p_value >= MISFIT and not sharing:
         return linear, linear
     always = linear.space + dark_scatter(measurement)
     candidates = candidates_for(measurement, problem.inputs, always, sharing=sharing)
-    whole = restated(problem, always, candidates=candidates)
-    chosen = _reduced(fitted(whole, standard), standard, sharing)
+    whole = replace_parameters(problem, always, candidates=candidates)
+    chosen = _reduced(fit_model(whole, standard), standard, sharing)
     drifts = _may_be_drift(chosen, trend)
     if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
         # A drift of the light from level to level resembles a curved response, which a search may
         # find although the variances contradict it.
         bent = [one.name for one in candidates if one.parameter in CURVE]
-        other = _reduced(fitted(whole, standard, without=bent), standard, sharing)
+        other = _reduced(fit_model(whole, standard, without=bent), standard, sharing)
         described = drifts and other.p_value >= MISFIT
         chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
     chosen = _drifting_lamp(chosen, whole, candidates, standard, sharing)
@@ -474,13 +474,13 @@ def _drifting_lamp(
     straight = [one for one in candidates if one.parameter not in (COMPRESSION, COMPRESSION_2)]
     drift = Candidate(LIGHT_DRIFT, chance=SPURIOUS)
     always = tuple(p for p in whole.space if p.name not in {one.name for one in candidates})
-    problem = restated(whole, always, candidates=[*straight, drift])
-    lamp = _reduced(fitted(problem, standard), standard, sharing)
+    problem = replace_parameters(whole, always, candidates=[*straight, drift])
+    lamp = _reduced(fit_model(problem, standard), standard, sharing)
     if LIGHT_DRIFT not in lamp.space or lamp.bic > chosen.bic + DECIDED:
         return chosen
     if not bends or lamp.bic < chosen.bic - DECIDED:
         return min(chosen, lamp, key=lambda fit: fit.bic)
-    both = fitted(restated(whole, (*chosen.space, LIGHT_DRIFT)), standard, near=chosen)
+    both = fit_model(replace_parameters(whole, (*chosen.space, LIGHT_DRIFT)), standard, near=chosen)
     bend, change = (
         (float(both.values[p.name]) / both.errors[p.name]) ** 2 for p in (COMPRESSION, LIGHT_DRIFT)
     )
@@ -503,7 +503,7 @@ def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFi
         unearned = weakest(dict(zip(prices, ratios, strict=True)), prices, there)
         if unearned is None:
             return fit
-        fit = fitted(fit.problem, standard, without=(*fit.without, unearned), near=fit)
+        fit = fit_model(fit.problem, standard, without=(*fit.without, unearned), near=fit)
 
 
 def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:

@@ -63,7 +63,7 @@ def usual_moments_error(
     return LeftOut(NAME, None, float(np.sqrt(pixels * share.sum())))
 
 
-def _in_codes(
+def _convert_to_codes(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[NoiseData, np.ndarray, np.ndarray]:
     """Return the inputs of a fit to the bright levels `usable` and to all darks, and the means and
@@ -80,7 +80,7 @@ def needed_window(
     moments, else None."""
     left_out = LeftOut(NAME, None, 0.0)
     if measurement.converter.step:
-        data, mean, variance = _in_codes(measurement, usable)
+        data, mean, variance = _convert_to_codes(measurement, usable)
         frames, pixels = np.asarray(data.frames), float(data.pixels)
         left_out = usual_moments_error(mean, variance, frames, pixels)
     gone = negligible([left_out])
@@ -90,7 +90,7 @@ def needed_window(
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
     """Compute the weights for exact means and variances (`quantised`), for the darks and for all
     levels that clipping or rounding may affect."""
-    data, mean, variance = _in_codes(measurement, usable)
+    data, mean, variance = _convert_to_codes(measurement, usable)
     lit, converter = np.asarray(data.lit), measurement.converter
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation

@@ -60,7 +60,7 @@ def amplitude(name: str, symbol: str, unit: str) -> Parameter:
     return Parameter(name, symbol=symbol, unit=unit, transform="log")
 
 
-def _one(shape: Array) -> Array:
+def _unit_amplitude(shape: Array) -> Array:
     return jnp.ones(1, shape.dtype)
 
 
@@ -68,7 +68,7 @@ def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array,
     """Return a function from shape and index to the lobe of a record, with diffuse 0 and specular
     1.
     """
-    return lambda shape, index: record(jnp.zeros(1, shape.dtype), _one(shape), shape)
+    return lambda shape, index: record(jnp.zeros(1, shape.dtype), _unit_amplitude(shape), shape)
 
 
 def _facets(
@@ -76,7 +76,7 @@ def _facets(
 ) -> Callable[[Array, float], Material]:
     def material(shape: Array, index: float) -> Material:
         interface = Dielectric(jnp.full(1, index, shape.dtype)) if clear else None
-        lobe = jnp.zeros(1, shape.dtype), _one(shape), shape
+        lobe = jnp.zeros(1, shape.dtype), _unit_amplitude(shape), shape
         return TorranceSparrow(*lobe, interface=interface, distribution=distribution)
 
     return material
@@ -103,13 +103,15 @@ REFLECTANCES: dict[Model, Reflectance] = {
         "Oren-Nayar",
         "none",
         _BODY_ROUGHNESS,
-        lambda shape, index: OrenNayar(_one(shape), shape),
+        lambda shape, index: OrenNayar(_unit_amplitude(shape), shape),
     ),
     "eon": Reflectance(
         "EON",
         "none",
         _SHARE_OF_ROUGHNESS,
-        lambda shape, index: EON(_one(shape), shape, facet_albedo=_one(shape)),
+        lambda shape, index: EON(
+            _unit_amplitude(shape), shape, facet_albedo=_unit_amplitude(shape)
+        ),
     ),
     "phong": Reflectance("Phong", "mirror", _EXPONENT, _lobe(Phong)),
     "normalised-phong": Reflectance(

@@ -44,13 +44,13 @@ from .stereo_lights import (
     Readings,
     Rows,
     Vectors,
-    at_pixels,
-    by_lights,
     common_departure,
     directions_of,
+    light_covariance,
     offset_in_shadow,
     predicted,
     solved,
+    take_pixels,
 )
 from .stereo_misfit import Departures, departures, shared_squares
 from .stereo_model import Surface, fitted_surface
@@ -327,7 +327,7 @@ def photometric_stereo(
         findings += (_common_factor_finding(common, moved / _typical(g)),)
         rough = None
     if together is not None:
-        covariance_of_g = covariance_of_g + by_lights(
+        covariance_of_g = covariance_of_g + light_covariance(
             rows, found.weights, found.inverse, g, together, distances
         )
     albedo = np.linalg.norm(g, axis=-1)
@@ -709,7 +709,7 @@ def _checked(
             )
         rows, distances = places * strengths[:, None], None
     else:
-        stack, toward, distances = _near(stack, places, points)
+        stack, toward, distances = _light_vectors(stack, places, points)
         rows = toward * (strengths[:, None] / distances**3)[:, :, None]
     sizes = np.linalg.svd(directions_of(rows), compute_uv=False)
     if len(stack) < 3 or sizes[2] < FLAT * sizes[0]:
@@ -717,7 +717,7 @@ def _checked(
     return stack, rows, distances
 
 
-def _near(
+def _light_vectors(
     stack: Images, places: Float[np.ndarray, "lights 3"], points: ArrayLike
 ) -> tuple[Images, np.ndarray, np.ndarray]:
     """Return the images, and the vectors and distances from each point to each light."""
@@ -806,7 +806,7 @@ def _counted(
     moving = np.arange(readings.shape[1])
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
-        own_rows = at_pixels(rows, moving)
+        own_rows = take_pixels(rows, moving)
         g, _ = solved(own_rows, own, own_near.astype(float))
         lit = ~(predicted(own_rows, g) <= limits[0] + CLEAR * limits[2])
         chosen = own_near & lit
@@ -866,7 +866,7 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted, noise: float = 
     wild |= (used > AGREE) & ((counts & ~near).sum(axis=0) > 1)
     if wild.any() and usual > 0:
         some = np.flatnonzero(wild)
-        own_rows, own_readings = at_pixels(rows, some), readings[:, some]
+        own_rows, own_readings = take_pixels(rows, some), readings[:, some]
         own = _agreeing(own_rows, own_readings, counts[:, some], FAR * usual)
         better = own.sum(axis=0) > np.maximum(
             (near & (residuals < FAR * usual))[:, some].sum(axis=0), AGREE - 1
@@ -914,7 +914,7 @@ def _noise_among_wrong(
     usual = 0.0
     for among in (np.flatnonzero(known), bright):
         some = among[:: -(-among.size // VOTERS)]
-        own_rows, own, used = at_pixels(rows, some), readings[:, some], counts[:, some]
+        own_rows, own, used = take_pixels(rows, some), readings[:, some], counts[:, some]
         least = float(np.median(_least_absolute(own_rows, own, used)[1]))
         usual = max(usual, least)
     relative = least / float(np.median(own[used]))
@@ -1006,7 +1006,7 @@ def _contradicted_pixels(
         own, lit = readings[:, some], (between & (readings > dark))[:, some]
         misses = np.where(counts, np.abs(readings - expected), 0)[:, some].max(axis=0)
         as_well = np.maximum(FAR * usual, misses)  # as the accepted readings agree
-        second = _agreeing(at_pixels(rows, some), own, lit, as_well, off[:, some])
+        second = _agreeing(take_pixels(rows, some), own, lit, as_well, off[:, some])
         against[some] = second.sum(axis=0) >= np.maximum(used[some] - 2, RIVAL)
     return (used > 3) & against, scatter > APART * usual
 
@@ -1022,7 +1022,7 @@ def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) ->
     if not some.size:
         return found
     own, own_near, own_apart = readings[:, some], near[:, some], apart[:, some]
-    rows = at_pixels(rows, some)
+    rows = take_pixels(rows, some)
     g, covariance, used = _least_squares(rows, own, own_near.astype(float))
     several = own_apart.sum(axis=0)
     share = used / (used + several)

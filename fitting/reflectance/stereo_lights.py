@@ -69,7 +69,7 @@ def directions_of(rows: Rows) -> Float[np.ndarray, "lights 3"]:
     return toward / np.linalg.norm(toward, axis=-1, keepdims=True)
 
 
-def at_pixels(rows: np.ndarray, some: np.ndarray | slice) -> np.ndarray:
+def take_pixels(rows: np.ndarray, some: np.ndarray | slice) -> np.ndarray:
     """Return the rows of some pixels."""
     return rows if rows.ndim == 2 else rows[:, some]
 
@@ -98,7 +98,7 @@ def solved(rows: Rows, readings: Readings, weights: Readings) -> tuple[np.ndarra
     return np.einsum("pij,pj->pi", inverse, right), inverse
 
 
-def by_lights(
+def light_covariance(
     rows: Rows,
     weights: Readings,
     inverse: Matrices,
@@ -119,7 +119,7 @@ def by_lights(
     found = np.empty_like(inverse)
     for start in range(0, len(g), AT_ONCE):
         part = slice(start, start + AT_ONCE)
-        own, seen = at_pixels(rows, part), predicted(at_pixels(rows, part), g[part])
+        own, seen = take_pixels(rows, part), predicted(take_pixels(rows, part), g[part])
         own = np.broadcast_to(own if own.ndim == 3 else own[:, None], (*seen.shape, 3))
         pull = np.einsum("pij,kpj,kp->pki", inverse[part], own, weights[:, part])
         strength = np.linalg.norm(own, axis=-1, keepdims=True)
@@ -142,8 +142,8 @@ def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common 
         return None
     some = some[:: -(-len(some) // MOST)]
     own, counted = readings[:, some], counts[:, some]
-    rows = at_pixels(rows, some)
-    found = [_fitted(rows, own, counted, by_offset=by) for by in (True, False)]
+    rows = take_pixels(rows, some)
+    found = [_fit_common(rows, own, counted, by_offset=by) for by in (True, False)]
     found = [one for one in found if one is not None and one.explained > EXPLAINED]
     return max(found, key=lambda one: one.explained, default=None)
 
@@ -152,7 +152,7 @@ def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common 
     """Return an offset of all readings, estimated from pixels that face away from a light and
     should therefore read 0."""
     some = _bright(readings, counts)
-    own, rows = readings[:, some], at_pixels(rows, some)
+    own, rows = readings[:, some], take_pixels(rows, some)
     g, _ = solved(rows, own, counts[:, some].astype(float))
     shades = predicted(rows, g) / strengths_of(rows) / np.linalg.norm(g, axis=1)
     unlit = (shades < -UNLIT) & ~np.isnan(own)
@@ -175,7 +175,7 @@ def _bright(readings: Readings, counts: Counted) -> Int[np.ndarray, " some"]:
     return np.flatnonzero(known & (mean > LIT * least))
 
 
-def _fitted(
+def _fit_common(
     rows: np.ndarray, readings: np.ndarray, counts: np.ndarray, *, by_offset: bool
 ) -> Common | None:
     """Fit factors or an offset by Gauss-Newton with Cauchy weights; None if the result is not
@@ -246,7 +246,7 @@ def _normal_parts(
     right = change * residuals
     normals, rights, letters = [], [], "li" if rows.ndim == 2 else "lpi"
     for part in np.array_split(np.arange(fitted.shape[1]), PARTS):
-        own_rows = at_pixels(rows, part)
+        own_rows = take_pixels(rows, part)
         if by_offset:
             across = np.einsum(f"{letters},lp->pi", own_rows, change[:, part])[:, None]
             own = change[:, part].sum()[None, None]

@@ -33,9 +33,9 @@ from .stereo_lights import (
     Readings,
     Rows,
     Vectors,
-    at_pixels,
     predicted,
     strengths_of,
+    take_pixels,
 )
 
 AT_ONCE = 512  # pixels computed together, and most pixels that estimate a material
@@ -94,7 +94,7 @@ class _Pixels:
     readings: Readings
     counts: Counted
 
-    def at(self, g: Vectors, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(self, g: Vectors, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the residuals (pixels, lights), 0 for unused readings, and the derivatives of the
         model.
         """
@@ -120,7 +120,7 @@ class _Pixels:
     def normals(self, g: Vectors, shared: np.ndarray, scale: float, steps: int) -> Vectors:
         """Fit g of each pixel by Levenberg and Marquardt's method."""
         damping = np.full(len(g), 1e-3)
-        residuals, slopes, _ = self.at(g, shared)
+        residuals, slopes, _ = self.evaluate(g, shared)
         for _ in range(steps):
             weights = self.weights(residuals, scale)
             normal = np.einsum("pl,pli,plj->pij", weights, slopes, slopes)
@@ -131,7 +131,7 @@ class _Pixels:
                 damped, np.einsum("pl,pli,pl->pi", weights, slopes, residuals)[..., None]
             )[..., 0]
             tried = g + step
-            after, slopes_after, _ = self.at(tried, shared)
+            after, slopes_after, _ = self.evaluate(tried, shared)
             better = (weights * after**2).sum(axis=1) <= (weights * residuals**2).sum(axis=1)
             g = np.where(better[:, None], tried, g)
             residuals = np.where(better[:, None], after, residuals)
@@ -147,7 +147,7 @@ class _Pixels:
         parameters with g eliminated, and the derivative of g with respect to them (pixels, 3,
         numbers).
         """
-        residuals, by_g, by_shared = self.at(g, shared)
+        residuals, by_g, by_shared = self.evaluate(g, shared)
         weights = self.weights(residuals, scale)
         own = np.einsum("pl,pli,plj->pij", weights, by_g, by_g)
         size = np.trace(own, axis1=1, axis2=2)
@@ -159,7 +159,7 @@ class _Pixels:
         return normal, np.einsum("pl,plq,pl->pq", weights, free, residuals), moved
 
     def cost(self, g: Vectors, shared: np.ndarray, scale: float) -> float:
-        return float(np.log1p((self.at(g, shared)[0] / (TAIL * scale)) ** 2).sum())
+        return float(np.log1p((self.evaluate(g, shared)[0] / (TAIL * scale)) ** 2).sum())
 
     def search(
         self, g: Vectors, shared: np.ndarray, scale: float, steps: int
@@ -210,7 +210,7 @@ def fitted_surface(
 
         def pixels(places: np.ndarray) -> _Pixels:
             values = np.nan_to_num(readings[:, places])
-            own_rows = at_pixels(rows, places)
+            own_rows = take_pixels(rows, places)
             return _Pixels(model, own_rows, viewer, values, counts[:, places])
 
         best = _material(pixels(some), start[some])
@@ -223,7 +223,7 @@ def fitted_surface(
         g[own] = there.normals(start[own], shared, scale, STEPS)
         moved = there.reduced(g[own], shared, scale)[2]
         covariance[own] = moved @ of_shared @ np.swapaxes(moved, 1, 2)
-        residuals, by_g, _ = there.at(g[own], shared)
+        residuals, by_g, _ = there.evaluate(g[own], shared)
         extra[:, own] = there.readings - residuals.T - predicted(there.rows, g[own])
         slopes[:, own] = np.swapaxes(by_g, 0, 1)
         values = np.exp(shared)
@@ -242,14 +242,14 @@ def _material(pixels: _Pixels, start: Vectors) -> tuple[np.ndarray, float, Vecto
     for place in STARTS:
         shared = np.array([low + place * (high - low)])
         if has_lobe(pixels.model):
-            lobe = pixels.at(start, np.array([0.0, shared[0]]))[2][..., 0]
+            lobe = pixels.evaluate(start, np.array([0.0, shared[0]]))[2][..., 0]
             lobe = np.where(pixels.counts.T, lobe, 0)
             amount = (lobe * residuals).sum() / max((lobe**2).sum(), 1e-300)
             least = 1e-3 * np.median(np.linalg.norm(start, axis=1))
             shared = np.array([np.log(max(amount, least)), shared[0]])
         starts.append(pixels.search(start, shared, scale, FIRST))
     _, shared, g = min(starts, key=lambda found: found[0])
-    left = pixels.at(g, shared)[0]
+    left = pixels.evaluate(g, shared)[0]
     scale = max(NORMAL_MAD * float(np.median(np.abs(left[pixels.counts.T]))), 1e-9)
     _, shared, g = pixels.search(g, shared, scale, SHARED_STEPS)
     return shared, scale, g

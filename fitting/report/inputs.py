@@ -22,9 +22,7 @@ UNITS = {"exposure": "s", "irradiance": "W m^-2"}  # others name it, or have non
 DISPLAY_GAMMA = 2.2
 
 
-def with_inputs(
-    section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
-) -> Section:
+def add_inputs(section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False) -> Section:
     """Return the section with the rig's images, and findings on keys without effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)

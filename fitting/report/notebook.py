@@ -24,15 +24,15 @@ class ShownInNotebooks:
         return double_precision(module.section)(self)
 
     def _repr_html_(self) -> str:
-        return section_html(_with_cost(self.section))
+        return section_html(_add_cost(self.section))
 
     def __repr__(self) -> str:
         from .console import section_text  # imports rich, which calibrations do not need
 
-        return section_text(_with_cost(self.section))
+        return section_text(_add_cost(self.section))
 
 
-def _with_cost(section: Section) -> Section:
+def _add_cost(section: Section) -> Section:
     """Return the section with a finding on the errors of the fit's approximations."""
     cost = cost_in_words(section.posteriors.values(), np.nan, argument="sampling")
     return replace(section, findings=(*section.findings, cost)) if cost else section
@@ -67,10 +67,10 @@ def section_html(section: Section) -> str:
 
 def _cell(cell: Cell) -> str:
     note = f"<sup>{cell.note}</sup>" if cell.note else ""
-    return f"<td>{_whole(cell.value)}{note} {_whole(cell.interval)}</td>"
+    return f"<td>{_unbroken(cell.value)}{note} {_unbroken(cell.interval)}</td>"
 
 
-def _whole(text: str) -> str:
+def _unbroken(text: str) -> str:
     """Return the text as HTML in which no line break is allowed."""
     return (
         f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)

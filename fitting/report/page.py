@@ -62,7 +62,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
     environment.filters |= {
         function.__name__: function
         for function in (chain_pictures, format_cell, format_unit, said_once, sheet, size_in_words)
-    } | {"drawn": _drawn}
+    } | {"drawn": _draw}
     return environment.get_template("report.html.j2").render(
         title=title, created=_now(), versions=versions(), sections=sections
     )
@@ -112,12 +112,12 @@ class _Drawn:
         return sum(width for _, width in self.strips) > WIDE
 
 
-def _drawn(pictures: Sequence[Picture]) -> list[_Drawn]:
+def _draw(pictures: Sequence[Picture]) -> list[_Drawn]:
     from markupsafe import Markup
 
     found = []
     for picture in pictures:
-        strips = figure_strips(picture.drawn, widest=math.inf if picture.is_whole else NARROW)
+        strips = figure_strips(picture.figure, widest=math.inf if picture.is_whole else NARROW)
         sizes = np.array([re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)', svg)[0] for svg in strips])
         widths, heights = sizes.astype(float).T
         drawn = tuple(zip(map(Markup, strips), np.rint(widths).astype(int), strict=True))

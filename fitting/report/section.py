@@ -56,7 +56,7 @@ class Picture:
     draw: "Callable[[], Figure]"
     is_whole: bool = False
 
-    def drawn(self) -> "Figure":
+    def figure(self) -> "Figure":
         """Draw the figure, with numbers in double precision."""
         return double_precision(self.draw)()
 
@@ -136,7 +136,7 @@ class Section:
 
     def figure(self, name: str) -> "Figure":
         """Draw the figure with a given name."""
-        drawn = {picture.name: picture.drawn for picture in self.pictures}
+        drawn = {picture.name: picture.figure for picture in self.pictures}
         if name not in drawn:
             raise InputError(
                 f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
@@ -186,7 +186,7 @@ def describing_nothing(section: Section, headline: str, groups: Collection[str])
     )
 
 
-def without_short_chains(section: Section, *, kept: bool) -> Section:
+def drop_short_chains(section: Section, *, kept: bool) -> Section:
     """Return the section, without its estimates if a chain is too short."""
     short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:

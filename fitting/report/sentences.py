@@ -32,7 +32,7 @@ class Finding(NamedTuple):
     sentence: str
 
 
-def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
+def evaluate_findings(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
     """Return the sentences of those findings in a table whose conditions a calibration meets."""
     found = []
     for row in table:

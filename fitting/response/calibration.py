@@ -11,7 +11,7 @@ from jaxtyping import Float, Integer
 from jaxvision.errors import InputError
 
 from ..frame_checks.dialled import LESS, exact_times, worst_in_words
-from ..inference.emcee_run import Emcee, for_group
+from ..inference.emcee_run import Emcee, group_options
 from ..inference.given import require_kind
 from ..inference.precision import double_precision
 from ..report.notebook import ShownInNotebooks
@@ -218,7 +218,7 @@ def _calibrate(
         label=plane.label,
         black_sd=plane.black_sd,
         exposure_sd=plane.exposure_sd,
-        sampling=for_group(sampling, plane.label),
+        sampling=group_options(sampling, plane.label),
         seed=seed,
     )
     radiance = merge(plane.codes, plane.exposures, curve, signed=plane.black_measured)

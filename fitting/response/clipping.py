@@ -100,9 +100,9 @@ def _darker_p_value(
         group, place = code // width, code % width - (width - 1) / 2
         around, value = _ring(peaks)[used].astype(float), longer[used].astype(float)
         level = np.ones(len(code))
-        slope = _without(place, level, group)  # in intervals of several codes
+        slope = _regress_out(place, level, group)  # in intervals of several codes
         for turn in (level, slope):
-            around, value = _without(around, turn, group), _without(value, turn, group)
+            around, value = _regress_out(around, turn, group), _regress_out(value, turn, group)
         product += np.bincount(tile[used], around * value, SIDE**2)
         square += np.bincount(tile[used], around**2, SIDE**2)
     if not square.any():
@@ -122,7 +122,7 @@ def _ring(mask: np.ndarray) -> np.ndarray:
     return reach**2 * wide - 9 * narrow > 0.5
 
 
-def _without(
+def _regress_out(
     value: Float[np.ndarray, " pixels"],
     regressor: Float[np.ndarray, " pixels"],
     group: Integer[np.ndarray, " pixels"],

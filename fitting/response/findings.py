@@ -47,7 +47,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
     found += [_moved_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
-    found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
+    found += [_clipping_sentences(channels), _hidden_in_words(channels)]
     found += [_busy_in_words(channels), _ripple_in_words(channels)]
     found += [_one_hue_in_words(channels), _colours_apart_in_words(channels)]
     found += [
@@ -351,7 +351,7 @@ def _hidden_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
 
 
-def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
+def _clipping_sentences(channels: Sequence[ChannelResponse]) -> str:
     near = [c for c in channels if not c.clear]
     if not near:
         return ""

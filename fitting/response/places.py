@@ -40,7 +40,7 @@ class Layout:
     rows: Int[np.ndarray, " pixels"]
     columns: Int[np.ndarray, " pixels"]
 
-    def at(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
+    def select(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
         """Return the layout of some of the pixels."""
         every = self.steepness, self.activity, self.rows, self.columns
         return Layout(*(column[chosen] for column in every))

@@ -151,14 +151,14 @@ def read_exposure_stack(
     """
     rig = as_rig(rig)
     require(rig, "a response calibration")
-    rig, remarks = _without_odd_heads(rig)
+    rig, remarks = _drop_odd_heads(rig)
     frames = {entry.file: _codes(rig, entry.file, load) for entry in rig.exposure}
     converter = converter_of(frames.values())
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
     measured_black = _black_levels(rig, load)
     planes: list[Plane] = []
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
-        kept = _without_odd_images(rig, tuple(entries), frames, remarks)
+        kept = _drop_odd_images(rig, tuple(entries), frames, remarks)
         planes += _planes(rig, group, kept, mask, measured_black, frames, converter)
     fixed = max(float(np.mean(_painted(p.codes, p.exposures, p.black, p.clip))) for p in planes)
     if fixed > FIXED_SHARE:
@@ -218,7 +218,7 @@ def from_stack(
     return read_exposure_stack(rig, mask=mask, load=load)
 
 
-def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
+def _drop_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
     """Return the rig without exposures that metadata contradict, and findings on them."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
@@ -232,7 +232,7 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
     return rig.model_copy(update={"exposure": kept}), [*remarks, *(one.sentence for one in odd)]
 
 
-def _without_odd_images(
+def _drop_odd_images(
     rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
 ) -> tuple[Exposure, ...]:
     """Return the exposures whose images show one still scene and get brighter with the exposure

@@ -9,6 +9,7 @@ Sources:
 import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -153,5 +154,5 @@ def _line(at: np.ndarray, x: np.ndarray, chance: float) -> tuple[float, float] |
     at, x = at[there], x[there]
     if len(x) < FEWEST or np.ptp(at) == 0:
         return None
-    line = linregress(at, x)
+    line: Any = linregress(at, x)
     return (float(line.slope), float(line.stderr)) if line.pvalue < chance else None

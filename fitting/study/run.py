@@ -8,7 +8,7 @@ import xarray as xr
 
 from jaxvision.errors import InputError
 from jaxvision.files.images import replaced_on_success
-from jaxvision.tasks import in_order
+from jaxvision.tasks import map_ordered
 
 from ..report.progress import Progress
 from .compare import Compared, Drift, compared, drifts
@@ -71,14 +71,14 @@ def study(
         InputError: for an empty list, for two folders of one name, and for a worker whose software
             or data differ from this process.
     """
-    asked = _named(paths, out)
+    asked = _name_folders(paths, out)
     outcomes = {folder.camera: remembered(settings, folder) for folder in asked}
     outcomes |= _copies(asked)
     left = [folder for folder in asked if outcomes[folder.camera] is None]
     done = len(asked) - len(left)
     progress(done, len(asked))
     largest = max((folder.memory for folder in left), default=0.0)
-    for outcome in in_order(calibrated, settings, left, memory=largest):
+    for outcome in map_ordered(calibrated, settings, left, memory=largest):
         outcomes[outcome.camera] = outcome
         done += 1
         progress(done, len(asked))
@@ -118,7 +118,7 @@ def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
     return found
 
 
-def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
+def _name_folders(paths: Sequence[Path], out: Path) -> list[Folder]:
     """Return the folders with their names. A folder that cannot be read is reported when it is
     calibrated.
     """

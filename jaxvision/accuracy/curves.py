@@ -130,7 +130,7 @@ def curve(
     stopped = stopped or ", ".join(filter(None, why))
     if not run:
         nothing = Reference(None, np.inf, "none")
-        last = stopped, session.taken, problem.error_axis
+        last = stopped, session.elapsed, problem.error_axis
         return Curve(problem.name, turned, (), nothing, None, (), not_run, *last)
     if found is None and not turned.random and len(session.points[run[0]].results) > 1:
         found = paired_reference(session, finer=False)
@@ -153,11 +153,11 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
     """Run each setting twice if the time suffices. Run at least one setting, even if only one call
     fits into the time. Settings that raise an error are recorded as refused."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
-    if session.left <= LEAST:
+    if session.remaining <= LEAST:
         raise OutOfTime
     for setting in settings:
         share = LAST_LOOK if setting in finest else FIRST_LOOK
-        if session.expected(setting, calls=2) <= share * session.left:
+        if session.expected(setting, calls=2) <= share * session.remaining:
             _run_twice(session, setting)
         if setting == settings[0]:
             for point in session.points.values():  # compiles norms, for which no interrupt waits
@@ -167,7 +167,7 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
             break
     if not session.points and not session.refused and not session.given_up:
         first = next(filter(session.is_compiled, settings), settings[0])
-        if session.expected(first, calls=1) <= session.left:
+        if session.expected(first, calls=1) <= session.remaining:
             _run_twice(session, first)
     if not session.points:
         raise next(iter(session.refused.values()), OutOfTime())
@@ -176,10 +176,10 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 def _run_twice(session: Session, setting: Any) -> None:
     """Run a setting twice; after the first, only if time for a reference remains."""
     share = LAST_LOOK if session.points else 1 + GRACE
-    until = session.taken + share * session.left
+    until = session.elapsed + share * session.remaining
     try:
         for seed in PAIR_SEEDS:
-            session.call(setting, seed, within=until - session.taken)
+            session.call(setting, seed, within=until - session.elapsed)
     except OutOfTime:  # one call does not distinguish a bias from chance
         session.points.pop(setting, None)
     except Exception as refusal:  # the problem may raise any error
@@ -193,7 +193,7 @@ def _take_turns(session: Session, seeds: int) -> None:
     for number in range(len(PAIR_SEEDS), rounds):
         for setting in session.knob.settings:
             known = setting in session.points
-            if known and session.expected(setting, calls=1) <= session.left:
+            if known and session.expected(setting, calls=1) <= session.remaining:
                 try:
                     session.call(setting, number if session.knob.random else PAIR_SEEDS[0])
                 except OutOfTime:  # slower than earlier calls, but already measured
@@ -241,7 +241,7 @@ def _curve_of(
         pareto_of(trials),
         not_run,
         stopped,
-        session.taken,
+        session.elapsed,
         problem.error_axis,
     )
 

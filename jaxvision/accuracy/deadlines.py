@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..core.interrupts import leaves_work_behind
-from ..core.side_by_side import for_any_thread
+from ..core.side_by_side import keep_context
 from ..errors import InputError
 
 TICK = 0.1  # s between two checks of the time
@@ -33,7 +33,7 @@ class _Job:
     """A function to call and, after the call, its result or its error."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self.work = for_any_thread(work)
+        self.work = keep_context(work)
         self.ended = threading.Event()
         self.result: Any = None
         self.error: BaseException | None = None

@@ -80,7 +80,7 @@ def plot(
         axes.set_ylim(low * (low / high) ** (HEIGHT_SHARE if exact else 0), high)
         name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
         name_points(axes, rivals, below=True, color=PURPLE)
-        _without_error(axes, exact)
+        _draw_errorless(axes, exact)
         few_ticks(axes)  # the names have extended the axis above
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
     order = ""
@@ -94,7 +94,7 @@ def plot(
     return axes
 
 
-def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
+def _draw_errorless(axes: "Axes", trials: Sequence[Trial]) -> None:
     """Draw trials without error on the lower axis, since logarithms show no zero."""
     low, _ = axes.get_ylim()
     for trial in trials:

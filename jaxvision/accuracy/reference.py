@@ -66,13 +66,13 @@ def _draw_results(session: Session, setting: Any) -> list[np.ndarray]:
     """Return independent results of a setting, as many as can be computed in a share of the
     remaining time. A seed that fails is skipped if other seeds have succeeded."""
     draws: list[np.ndarray] = []
-    until = session.taken + TIME_SHARE * max(session.left, 0.0)
-    latest = session.taken + ABANDON_SHARE * session.left
+    until = session.elapsed + TIME_SHARE * max(session.remaining, 0.0)
+    latest = session.elapsed + ABANDON_SHARE * session.remaining
     for seed in range(FIRST_SEED, FIRST_SEED + MOST_DRAWS):
-        if len(draws) >= DRAWS and session.taken + session.expected(setting, calls=1) > until:
+        if len(draws) >= DRAWS and session.elapsed + session.expected(setting, calls=1) > until:
             break
         try:
-            point = session.call(setting, seed, within=latest - session.taken)
+            point = session.call(setting, seed, within=latest - session.elapsed)
         except OutOfTime:
             if len(draws) < DRAWS:
                 raise
@@ -101,7 +101,7 @@ def paired_reference(
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIR_SEEDS)]
     chosen = steps[-1]
     for setting in knob.reference if finer else ():
-        if session.expected(setting, calls=len(PAIR_SEEDS)) > TIME_SHARE * session.left:
+        if session.expected(setting, calls=len(PAIR_SEEDS)) > TIME_SHARE * session.remaining:
             break
         try:
             for seed in PAIR_SEEDS:
@@ -152,7 +152,7 @@ def _finest(session: Session, *, calls: int) -> Any:
     """Return the finest setting whose calls fit into the time, else the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
-        if session.expected(setting, calls=calls) <= TIME_SHARE * session.left:
+        if session.expected(setting, calls=calls) <= TIME_SHARE * session.remaining:
             chosen = setting
     return chosen
 

@@ -18,11 +18,11 @@ from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..lights import DirectionalLight, PointLight, SmallLight
 from ..render_command import (
+    change_resolution,
     light_findings,
     linear_srgb,
     seeded_passes_of,
     seeded_pixels_of,
-    with_resolution,
 )
 from .deadlines import OutOfTime, TooLittleTime, run_within
 from .records import Compute, Problem
@@ -223,7 +223,7 @@ def _samples_a_call(entry: RenderEntry) -> int:
 def _compute_passes(
     source: SceneFile, entry: RenderEntry, shape: tuple[int, int], expand: np.ndarray | None
 ) -> Compute:
-    small = replace(source, view=with_resolution(source.view, shape))
+    small = replace(source, view=change_resolution(source.view, shape))
     passes = seeded_passes_of(small, entry)
 
     def compute(seed: int) -> np.ndarray:

@@ -62,19 +62,19 @@ class Session:
         self.given_up = ""
 
     @property
-    def taken(self) -> float:
+    def elapsed(self) -> float:
         """The time since the session began, in s."""
         return self.clock() - self.begun
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """The remaining time of the budget, in s."""
-        return self.seconds - self.taken
+        return self.seconds - self.elapsed
 
     def wait_for_the_rest(self) -> None:
         """Wait for abandoned work to end, because timings taken while it runs would be too long."""
-        until = self.taken + WAIT * self.left
-        wait_for_the_rest(lambda: until - self.taken)
+        until = self.elapsed + WAIT * self.remaining
+        wait_for_the_rest(lambda: until - self.elapsed)
 
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
         """Run a setting once with a seed, and return the calls of that setting so far. Raise
@@ -95,7 +95,7 @@ class Session:
 
         def left() -> float:
             spent = self.clock() - begun
-            return min(self.left + GRACE * self.seconds, within - spent)
+            return min(self.remaining + GRACE * self.seconds, within - spent)
 
         try:
             compute, values, taken, once = run_within(run, left)

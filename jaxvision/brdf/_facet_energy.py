@@ -66,7 +66,7 @@ def _cosine_basis(cosine: Array, alpha: Scalar, count: int) -> Array:
     return _chebyshev(ratio**0.6, count)
 
 
-def lost(cosine: Array, alpha: Scalar, distribution: Distribution) -> Array:
+def lost_energy(cosine: Array, alpha: Scalar, distribution: Distribution) -> Array:
     """Return the share of light that white facets lose, for a view at `cosine` to the normal."""
     table = jnp.asarray(_coefficients(distribution)[0], alpha.dtype)
     line = table @ _roughness_basis(alpha, table.shape[1])
@@ -76,7 +76,7 @@ def lost(cosine: Array, alpha: Scalar, distribution: Distribution) -> Array:
 def mean_lost(alpha: Scalar, distribution: Distribution) -> Scalar:
     """Return the mean of `lost` over the cosine c of the view, weighted by 2 c (uniform light)."""
     nodes, weights = (jnp.asarray(x, alpha.dtype) for x in (_NODES, _WEIGHTS))
-    return weights @ lost(nodes, alpha, distribution)
+    return weights @ lost_energy(nodes, alpha, distribution)
 
 
 def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribution) -> Colour:
@@ -90,6 +90,6 @@ def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribu
     added = _cosine_basis(cosine, alpha, table.shape[0]) @ line
     # For facets smoother than fitted, the loss depends on cosine / alpha only, and the change of
     # Fresnel's reflectance by the tilt of the facets is proportional to alpha.
-    loss, smoother = lost(cosine, alpha, distribution), alpha / _polynomial(alpha)
+    loss, smoother = lost_energy(cosine, alpha, distribution), alpha / _polynomial(alpha)
     added = (added + loss) * smoother - loss
     return jnp.clip(fresnel_dielectric(jnp.clip(cosine, 0, 1), eta) + added, 0, 1)

@@ -22,7 +22,7 @@ def _only(x: Scalar) -> Place:
     return [(jnp.zeros((), jnp.int32), jnp.ones_like(x))]
 
 
-def among(
+def interpolation_weights(
     nodes: Float[Array, " n"], x: Scalar, *, outside: Literal["clamp", "extrapolate"] = "clamp"
 ) -> Place:
     """Return the nodes next to `x` with their weights for linear interpolation. Outside the nodes,
@@ -43,7 +43,7 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
         return _only(angle)
     turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
     closed = jnp.concatenate([nodes, nodes[:1] + 2 * jnp.pi])
-    (i, wi), (j, wj) = among(closed, turned)
+    (i, wi), (j, wj) = interpolation_weights(closed, turned)
     return [(i, wi), (j % nodes.shape[0], wj)]
 
 

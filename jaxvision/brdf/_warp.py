@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from ..core._loops.fusion import one_program
 from ..core._numerics import divide, running_sum, safe_sqrt
 from ..core._types import Scalar
-from ._interpolation import among, place_in_unit
+from ._interpolation import interpolation_weights, place_in_unit
 
 Slices = list[tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]]
 Square = tuple[Scalar, Scalar]
@@ -62,7 +62,11 @@ def tabulated_warp(
 def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
     """Return the tabulated directions next to (phi, theta) and their interpolation weights, which
     sum to 1. There are four such directions, or two if phi or theta has a single node."""
-    return [((p, t), wp * wt) for p, wp in among(w.phi, phi) for t, wt in among(w.theta, theta)]
+    return [
+        ((p, t), wp * wt)
+        for p, wp in interpolation_weights(w.phi, phi)
+        for t, wt in interpolation_weights(w.theta, theta)
+    ]
 
 
 def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:

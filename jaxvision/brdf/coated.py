@@ -212,7 +212,7 @@ def _returned(material: Coated, w: Vec) -> Colour:
         return jax.lax.stop_gradient(own.pdf(body, wi, w))
 
     def broad(c: Scalar, phi: Scalar) -> Colour:
-        wi = _at(c, phi)
+        wi = _direction(c, phi)
         return own.evaluate(body, wi, w) / (1 + (density(wi) / _NARROW) ** 2)
 
     def narrow(u: Float[Array, "3"]) -> Colour:
@@ -228,7 +228,7 @@ def _returned(material: Coated, w: Vec) -> Colour:
     return jnp.pi * (weights * rings).sum(axis=0) + drawn
 
 
-def _at(cosine: Scalar, azimuth: Scalar) -> Vec:
+def _direction(cosine: Scalar, azimuth: Scalar) -> Vec:
     sine = safe_sqrt(1 - cosine * cosine)
     return Vec(sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine)
 
@@ -247,7 +247,7 @@ def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     cosines, weights = _returned_uniform(material, order, dense="normal" if isotropic else None)
     # the azimuths differ, for a body that depends on them
     azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
-    shares = jax.vmap(lambda c, phi: _returned(material, _at(c, phi)))(cosines, azimuths)
+    shares = jax.vmap(lambda c, phi: _returned(material, _direction(c, phi)))(cosines, azimuths)
     left = weights.sum(axis=0) - (weights * shares).sum(axis=0)
     if isotropic:
         places = (1 - safe_sqrt((w.x * w.x + w.y * w.y) / (1 + w.z)) for w in (wi, wo))
@@ -319,9 +319,9 @@ def _bound(x: Ends[Coated]) -> Reflection:
     + g), where B (g + (1 - g) cos) bounds f_b cos, because the integral of r dc is at most (1 + R)
     / 2. R <= 1 - (1 - M) / eta^2, where M, the reflectance of the interface for uniform light from
     outside, is at most 0.6 for all indices up to 2.5, also for a rough interface."""
-    body = suprema(x.of("body"))
+    body = suprema(x.field("body"))
     lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
-    eta = least(x.of("interface"), "eta"), most(x.of("interface"), "eta")
+    eta = least(x.field("interface"), "eta"), most(x.field("interface"), "eta")
     down = np.sqrt(1 - 1 / eta[0] ** 2)
     own = body.body * (1 - body.grazing + body.grazing / down)
     again = 1 - 0.4 / eta[1] ** 2

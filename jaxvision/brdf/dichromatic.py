@@ -119,7 +119,7 @@ def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
 def _bound(x: Ends[Dichromatic]) -> Reflection:
     """Return upper bounds on the shading: the sum of the bounds of body and interface, each times
     its spectrum. A diffuse part of the interface is added to the bound of the body."""
-    body, interface = (suprema(x.of(name)) for name in ("body", "interface"))
+    body, interface = (suprema(x.field(name)) for name in ("body", "interface"))
     c_b, c_i = peak(x, "body_spectrum"), peak(x, "interface_spectrum")
     diffuse = c_b * body.body + c_i * interface.body
     parts = [(own.lobe, c) for own, c in ((body, c_b), (interface, c_i)) if own.lobe is not None]

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._bounds import Ends, numbers
 from ..core._numerics import divide, or_one, polynomial, safe_sqrt, smallest_divisor
 from ..core._quadrature import gauss_legendre
@@ -124,7 +124,7 @@ def mean_reflectance(interface: Interface) -> Colour:
 
 
 @takes_numbers
-@in_range(cos_theta=_COSINE, eta=DIVISOR)
+@takes_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     """Return the reflectance of a clear interface of relative index eta, (bands,), no unit; 1 in
     total reflection (g^2 <= 0). The reflectance is (r_s^2 + r_p^2) / 2, where c = cos_theta, g^2 =
@@ -167,7 +167,7 @@ def _index(x: Colour) -> Colour:
 
 
 @takes_numbers
-@in_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
+@takes_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     """Return the reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p)
     / 2 with c and s the cosine and sine of incidence, (a + i b)^2 = (eta + i k)^2 - s^2 and
@@ -208,7 +208,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 
 
 @takes_numbers
-@in_range(cos_theta=_COSINE)
+@takes_range(cos_theta=_COSINE)
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
     """Return Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no
     unit, where f0 is the reflectance at normal incidence and c the cosine.

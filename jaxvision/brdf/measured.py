@@ -26,7 +26,7 @@ from ..core._types import Colour, as_float, as_optional_float, check_choice, che
 from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
-from ._interpolation import Place, among, around_circle, multilinear
+from ._interpolation import Place, around_circle, interpolation_weights, multilinear
 from ._lobe import where_seen
 from ._lobe_sampler import LobeSampler, albedo, pdf, sample, table_bound, tabulated_lobe
 from ._registry import family, register
@@ -156,14 +156,14 @@ class AnisotropicTable(Material):
 AngleTable = IsotropicTable | AnisotropicTable
 
 
-def _in_range(nodes: Float[Array, " n"], x: Float[Array, ""]) -> Array:
+def _is_inside(nodes: Float[Array, " n"], x: Float[Array, ""]) -> Array:
     return (x >= nodes[0]) & (x <= nodes[-1])
 
 
 def _places(table: AngleTable, wi: Vec, wo: Vec) -> tuple[Place, ...]:
     beyond = "extrapolate" if table.outside == "extrapolate" else "clamp"
-    i = among(table.theta_i, elevation(wi), outside=beyond)
-    o = among(table.theta_o, elevation(wo), outside=beyond)
+    i = interpolation_weights(table.theta_i, elevation(wi), outside=beyond)
+    o = interpolation_weights(table.theta_o, elevation(wo), outside=beyond)
     if isinstance(table, AnisotropicTable):
         return (
             i,
@@ -175,7 +175,7 @@ def _places(table: AngleTable, wi: Vec, wo: Vec) -> tuple[Place, ...]:
     between = azimuth(Vec(wi.x * wo.x + wi.y * wo.y, wi.x * wo.y - wi.y * wo.x, wi.z))
     if table.azimuths == "full":
         return i, o, around_circle(table.phi, between)
-    return i, o, among(table.phi, jnp.abs(between))
+    return i, o, interpolation_weights(table.phi, jnp.abs(between))
 
 
 def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
@@ -184,7 +184,7 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
         return value
     if table.outside == "extrapolate":
         return jnp.maximum(value, 0)
-    covered = _in_range(table.theta_i, elevation(wi)) & _in_range(table.theta_o, elevation(wo))
+    covered = _is_inside(table.theta_i, elevation(wi)) & _is_inside(table.theta_o, elevation(wo))
     return jnp.where(covered, value, 0)
 
 

@@ -58,7 +58,7 @@ from ..core._types import (
 )
 from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
-from ._facet_energy import SMOOTHEST, lost, mean_lost
+from ._facet_energy import SMOOTHEST, lost_energy, mean_lost
 from ._half_vector import reflected
 from ._lobe import (
     ColourOrNeutral,
@@ -189,14 +189,14 @@ def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     body = where_seen(wi, wo, material.diffuse)
     lobe = microfacet_lobe(material, wi, wo)
     if material.multiple_scattering is not None:
-        further = _returned(material) * _lost(material, wi) * _lost(material, wo)
+        further = _returned(material) * _lost_energy(material, wi) * _lost_energy(material, wo)
         lobe = lobe + where_seen(wi, wo, further)
     return body + material.specular * lobe
 
 
-def _lost(material: TorranceSparrow, w: Direction) -> Scalar:
+def _lost_energy(material: TorranceSparrow, w: Direction) -> Scalar:
     """Return the share of light that white facets lose for the direction `w`, no unit."""
-    return lost(as_vec(w).z, material.roughness, material.distribution)
+    return lost_energy(as_vec(w).z, material.roughness, material.distribution)
 
 
 def _returned(material: TorranceSparrow) -> Colour:
@@ -246,7 +246,7 @@ def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
         lobe = lobe * fresnel(material.interface, as_vec(wo).z)
     body = jnp.pi * material.diffuse
     if material.multiple_scattering is not None:
-        body = body + lobe.mean() * _lost(material, wo)
+        body = body + lobe.mean() * _lost_energy(material, wo)
     return diffuse_share(body, lobe)
 
 
@@ -353,7 +353,7 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     lobe = turn @ (rays(cos_psi, sin_psi) + rays(cos_psi, -sin_psi))
     if material.multiple_scattering is not None:
         mean = mean_lost(material.roughness, material.distribution)
-        lobe = lobe + jnp.pi * mean * _returned(material) * _lost(material, viewer)
+        lobe = lobe + jnp.pi * mean * _returned(material) * _lost_energy(material, viewer)
     return jnp.pi * material.diffuse + material.specular * where_above(viewer.z, lobe)
 
 
@@ -396,7 +396,7 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
             below = np.maximum(a.cos_o, k / np.sqrt(1 + k * k))
         return 0.25 / np.maximum(below, 1e-150)
 
-    reflectance, neutral = _largest_reflectance(x.of("interface"))
+    reflectance, neutral = _largest_reflectance(x.field("interface"))
 
     further = _largest_returned(x)
 
@@ -409,7 +409,7 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
     if x.low.interface is not None:
         full = _bound(Ends(*(replace(end, interface=None) for end in x))).lobe
         assert full is not None
-        neglected = _least_reflectance(x.of("interface")) if further == 0 else 0.0, full
+        neglected = _least_reflectance(x.field("interface")) if further == 0 else 0.0, full
     return Reflection(peak(x, "diffuse"), lobe, facets=neglected)
 
 
@@ -424,7 +424,7 @@ def _largest_returned(x: Ends[TorranceSparrow]) -> float:
     found = 0.0
     for alpha in np.geomspace(min(ends), max(ends), 16 if ends[0] != ends[1] else 1):
         a = jnp.asarray(alpha, cosines.dtype)
-        largest_lost = float(lost(cosines, a, x.low.distribution).max())
+        largest_lost = float(lost_energy(cosines, a, x.low.distribution).max())
         mean = float(mean_lost(a, x.low.distribution))
         found = max(found, largest_lost**2 / (np.pi * max(mean, LEAST_LOSS)))
     return 1.05 * found

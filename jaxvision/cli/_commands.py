@@ -221,13 +221,13 @@ def render(
     from ..files.scenes import read_scene
     from ..files.scenes.schema import idle, override_settings
     from ..render_command import (
+        change_resolution,
         cost_sentence,
         light_findings,
         lossless_sentence,
         prune_losslessly,
         prune_scene,
         render_to_file,
-        with_resolution,
     )
     from ..tasks import workers as workers_of
 
@@ -248,7 +248,7 @@ def render(
         wanted = _pair("--resolution", resolution)
         if min(wanted) < 1:
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
-        source = replace(source, view=with_resolution(source.view, wanted))
+        source = replace(source, view=change_resolution(source.view, wanted))
     pruned = None if tolerance is None else prune_scene(source, settings, tolerance)
     if measure is not None and not accuracy and seconds is None:
         warn("--measure has no effect without --accuracy or --seconds.")

@@ -113,7 +113,7 @@ def warn_of_idle_fill(fill: Any, border: str) -> None:
         warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
 
 
-def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def takes_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function so that it raises `ValueError` for a concrete argument outside its
     allowed range. Apply this decorator before `takes_numbers`, on the line below."""
 

@@ -37,7 +37,7 @@ class Ends(Generic[T]):
     def __iter__(self) -> Iterator[T]:
         return iter((self.low, self.high))
 
-    def of(self, name: str) -> "Ends[Any]":
+    def field(self, name: str) -> "Ends[Any]":
         """Return one field of both copies, as `Ends`. Repeated calls return the same object."""
         key = f"of {name}"
         if key not in self.__dict__:
@@ -45,7 +45,7 @@ class Ends(Generic[T]):
         return self.__dict__[key]
 
 
-def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
+def cached(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
     """Decorate a function of `Ends` so that its result is computed once and stored in the
     argument."""
 

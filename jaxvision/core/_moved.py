@@ -45,11 +45,18 @@ MOVED = {
 }
 
 RENAMED = {  # public functions
+    "fitting.by_channel": "stack_channels",
     "fitting.reflectance.from_files.of_axis": "best_about_axis",
     "jaxvision.brdf.one_way": "draw_way",
     "jaxvision.brdf.passing": "transmitted",
     "jaxvision.filters.continued": "pad_axis",
     "jaxvision.geometry.reach_of": "largest_coordinate",
+    "jaxvision.lights.seen": "radiance_along",
+    "jaxvision.point_ops.with_luminance": "set_luminance",
+    "jaxvision.rendering.each": "map_rays",
+    "jaxvision.sensor.at_iso": "set_iso",
+    "jaxvision.tasks.in_order": "map_ordered",
+    "jaxvision.transport.radiosity.by_patch": "patch_means",
 }
 
 

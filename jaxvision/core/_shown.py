@@ -38,10 +38,10 @@ class Shown(eqx.Module):
         return super().__new__(cls)
 
     def __repr__(self) -> str:
-        return _shown(self)
+        return _format(self)
 
     def __str__(self) -> str:
-        return _shown(self, units=True)
+        return _format(self, units=True)
 
     def _repr_html_(self) -> str:
         """Return the HTML table that a notebook shows: each field with its numbers, unit and
@@ -67,12 +67,12 @@ def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, s
         several = isinstance(value, tuple | list)
         members = [*value] if several else [value]
         if not any(isinstance(one, eqx.Module) for one in members):
-            yield depth, field.name, _shown(value), meaning
+            yield depth, field.name, _format(value), meaning
             continue
         for i, one in enumerate(members[:SHORT]):
             name = f"{field.name}[{i}]" if several else field.name
             inside = isinstance(one, eqx.Module)
-            yield depth, name, type(one).__name__ if inside else _shown(one), "" if i else meaning
+            yield depth, name, type(one).__name__ if inside else _format(one), "" if i else meaning
             yield from _rows(one, depth + 1) if inside else ()
         if len(members) > SHORT:
             yield depth, field.name, f"and {len(members) - SHORT} more", ""
@@ -86,7 +86,7 @@ def meanings(kind: object) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def _shown(value: Any, indent: str = "", *, units: bool = False) -> str:
+def _format(value: Any, indent: str = "", *, units: bool = False) -> str:
     if isinstance(value, eqx.Module):
         # the text after a field's shape, with a space before it
         read = {name: UNIT.match(text) for name, text in meanings(type(value)).items() if units}
@@ -121,12 +121,12 @@ def _list_items(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
     """Print all (name, value, unit) on one line if they fit, otherwise each on a separate line."""
-    line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
+    line = head + ", ".join(n + _format(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line
     inner = indent + "  "
     entries = "".join(
-        f"\n{inner}{name}{_shown(one, inner, units=units)}{unit}," for name, one, unit in given
+        f"\n{inner}{name}{_format(one, inner, units=units)}{unit}," for name, one, unit in given
     )
     return f"{head}{entries}\n{indent}{tail.lstrip(',')}"
 

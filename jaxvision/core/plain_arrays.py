@@ -82,7 +82,7 @@ def plain_array(name: str, value: Any) -> Any:
     if hasattr(value, "unmasked"):  # an array from astropy
         value = np.ma.array(value.unmasked, mask=value.mask)
     if isinstance(value, np.ma.MaskedArray):
-        return plain_array(name, _without_mask(name, value))
+        return plain_array(name, _unmask(name, value))
     # subclasses: records, matrices, memory maps
     return plain_array(name, value.view(np.ndarray)) if isinstance(value, np.ndarray) else value
 
@@ -106,7 +106,7 @@ def within_integers(x: Any) -> Any:
     return x
 
 
-def with_room(x: Any) -> Any:
+def widen_integers(x: Any) -> Any:
     """Convert integer arrays of 8 or 16 bits to 64 bits, so that squares and products of codes do
     not overflow. Return other values unchanged."""
     small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
@@ -157,7 +157,7 @@ def _refuse_spans(name: str, value: Any) -> None:
         )
 
 
-def _without_mask(name: str, value: np.ma.MaskedArray) -> np.ndarray:
+def _unmask(name: str, value: np.ma.MaskedArray) -> np.ndarray:
     count = 0 if value.dtype.names else int(np.ma.count_masked(value))
     if count == 0:
         return np.asarray(value)

@@ -21,7 +21,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
+def keep_context(work: Callable[[], T]) -> Callable[[], T]:
     """Wrap a function so that it can run in another thread with the precision and the context
     variables of this thread."""
     context, double = contextvars.copy_context(), _double()
@@ -47,7 +47,7 @@ def side_by_side(
     at once and pieces that have not started are cancelled. After each piece, `progress(finished,
     all)` is called with the numbers of finished pieces and of all pieces."""
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
-    waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]
+    waiting = [threads.submit(keep_context(piece)) for piece in pieces]
     try:
         for count, ended in enumerate(as_completed(waiting), 1):
             ended.result()

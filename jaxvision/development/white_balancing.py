@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, or_one, power, smallest_divisor
 from ..core._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
 
@@ -94,7 +94,7 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
 
 
 @takes_numbers
-@in_range(norm=Range(1, finite=False, nan=True))
+@takes_range(norm=Range(1, finite=False, nan=True))
 def grey_world_gains(
     image: Image, *, norm: Scalar | float = 1.0, saturation: Scalar | float | None = None
 ) -> Gains:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from ..core._bounds import Ends, once
+from ..core._bounds import Ends, cached
 from ..scene import Box, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
 from .bodies import (
@@ -31,9 +31,9 @@ from .bodies import (
     is_closed,
     numbers,
     plane_of,
+    select_bodies,
     stacked,
     surface_bodies,
-    taken,
     unit,
 )
 from .boxes import same
@@ -48,7 +48,7 @@ _FACES = 2000  # faces of a mesh, up to which its convexity is tested
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
     """Return the largest distance, m, of bounded surfaces and lights from the origin."""
-    bodies = [body_of(surface.of("shape")) for surface in surfaces]
+    bodies = [body_of(surface.field("shape")) for surface in surfaces]
     bodies += [source.body for source in sources]
     far = [
         np.linalg.norm(p, axis=1).max() + r.max() for b in bodies if b is not None for p, r in [b]
@@ -63,7 +63,7 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
 
 
-@once
+@cached
 def is_convex(shape: Ends[Shape]) -> bool:
     """Return whether a shape is a convex body without separate shading normals. The result is True
     for balls and boxes. For a closed mesh without shading normals, the result is True if all
@@ -149,10 +149,10 @@ def may_block(
     for i, surface in enumerate(surfaces):
         kind, two_sided = type(surface.low.shape), surface.low.two_sided
         solid = kind in (Sphere, Box, TriangleMesh)
-        may[:, i, i] &= solid and (two_sided or not is_convex(surface.of("shape")))
+        may[:, i, i] &= solid and (two_sided or not is_convex(surface.field("shape")))
     reach = reach_of(surfaces, sources)
     bodies, bounded = surface_bodies(surfaces)
-    flat = {i: plane_of(surface.of("shape")) for i, surface in enumerate(surfaces)}
+    flat = {i: plane_of(surface.field("shape")) for i, surface in enumerate(surfaces)}
     planes = {i: plane for i, plane in flat.items() if plane is not None}
     relative = touching(surfaces)
     for i, plane in planes.items():
@@ -195,7 +195,7 @@ def _within(
     a parameter of the ball or box is free. Unless `strictly`, a body may touch the sides of a box
     from inside. `relative` is the tolerated relative rounding error of coordinates."""
     shape = surface.low.shape
-    if not same(*surface.of("shape")) or not isinstance(shape, Sphere | Box):
+    if not same(*surface.field("shape")) or not isinstance(shape, Sphere | Box):
         return np.zeros(len(bodies.points), bool)
     away, slack = bodies.points - numbers(shape.centre), certain(reach)
     if isinstance(shape, Sphere):
@@ -235,7 +235,11 @@ def _separated(
             part = slice(start, start + _BATCH)
             clear[part] = (low[occluder[part]] - high[receiver[part]]).max(1) > tolerance
         rest = np.flatnonzero(~clear)
-        found = gap(taken(lit, receiver[rest]), taken(bodies, occluder[rest]), enough=tolerance)
+        found = gap(
+            select_bodies(lit, receiver[rest]),
+            select_bodies(bodies, occluder[rest]),
+            enough=tolerance,
+        )
         clear[rest] = found > tolerance
         may[k, receiver[clear], occluder[clear]] = False
 

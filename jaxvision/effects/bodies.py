@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core._bounds import SIGNS, Ends, box_corners, numbers, once, unit
+from ..core._bounds import SIGNS, Ends, box_corners, cached, numbers, unit
 from ..scene import Box, Disc, Plane, Quad, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
 from .boxes import same
@@ -74,7 +74,7 @@ def corners(shape: Shape) -> np.ndarray | None:
     return None
 
 
-@once
+@cached
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the centres, (p, 3) m, and radii, (p,) m, of balls whose convex hull contains a shape
     for all values of its free parameters. The result is None for an unbounded plane, and for a
@@ -101,7 +101,7 @@ def faces_of(mesh: TriangleMesh) -> np.ndarray:
     return np.clip(np.asarray(mesh.faces), 0, len(mesh.vertices) - 1)
 
 
-@once
+@cached
 def is_closed(shape: Ends[Shape]) -> bool:
     """Return whether a shape bounds a solid body with outward normals. The result is True for balls
     and boxes, and for a fixed mesh in which each edge is used once in each direction and each
@@ -129,7 +129,7 @@ def is_closed(shape: Ends[Shape]) -> bool:
     return bool((volumes[np.unique(part)] > 0).all())
 
 
-@once
+@cached
 def plane_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a point, m, and the unit normal of a flat shape without free parameters, or None."""
     if shape.low is not shape.high:
@@ -155,7 +155,7 @@ def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
 def surface_bodies(surfaces: Sequence[Ends[Surface]]) -> tuple[Bodies, np.ndarray]:
     """Return the bodies of all surfaces, and (n,) whether each surface is bounded. The body of an
     unbounded surface is arbitrary."""
-    found = [body_of(surface.of("shape")) for surface in surfaces]
+    found = [body_of(surface.field("shape")) for surface in surfaces]
     ball = np.zeros((1, 3)), np.ones(1)
     bodies = stacked([ball if body is None else body for body in found])
     return bodies, np.array([body is not None for body in found])
@@ -168,7 +168,7 @@ def bounding_balls(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
     return middle, (away + bodies.radii).max(1)
 
 
-def taken(bodies: Bodies, index: np.ndarray) -> Bodies:
+def select_bodies(bodies: Bodies, index: np.ndarray) -> Bodies:
     """Select bodies of a batch by index."""
     return Bodies(bodies.points[index], bodies.radii[index])
 
@@ -199,7 +199,7 @@ def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
     found = np.zeros(len(a.points))
     for start in range(0, len(found), _BATCH):
         part = np.arange(start, min(start + _BATCH, len(found)))
-        found[part] = _gap(taken(a, part), taken(b, part), enough)
+        found[part] = _gap(select_bodies(a, part), select_bodies(b, part), enough)
     return found
 
 
@@ -213,7 +213,7 @@ def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
     for _ in range(_STEPS):
         if not active.size:
             break
-        own_a, own_b, own = taken(a, active), taken(b, active), v[active]
+        own_a, own_b, own = select_bodies(a, active), select_bodies(b, active), v[active]
         length = np.linalg.norm(own, axis=1)
         u = own / np.where(length > 0, length, 1)[:, None]
         w = _farthest(own_a, -u) - _farthest(own_b, u)

@@ -49,7 +49,7 @@ def bounce_rows(onward: "Onward") -> tuple[Row, ...]:
     wanted = shorter(depth)
     emitted, lit = (
         onward.tails(light, [pieces - own + 1 for pieces in wanted], depth - own)
-        for light, own in ((sums.own, EMITTED), (onward.lamps, DIRECT))
+        for light, own in ((sums.sent_radiance, EMITTED), (onward.lamps, DIRECT))
     )
     return tuple(
         pieces_row(pictured(sums, tail[sums.cells.surface]), pieces, depth)
@@ -96,7 +96,7 @@ class Transport(NamedTuple):
         )
         return float(np.max(body + lobe + self.mirror))
 
-    def once(self, sent: np.ndarray) -> np.ndarray:
+    def apply(self, sent: np.ndarray) -> np.ndarray:
         """Apply T to radiances, (n, bands) W m^-2 sr^-1."""
         return (
             times(self.body[:, None], gathered(self.factors, sent))
@@ -133,7 +133,7 @@ class Onward:
     @cached_property
     def lamps(self) -> np.ndarray:
         """A bound, (n, bands) W m^-2 sr^-1, on the light of lamps that each surface reflects."""
-        found = np.zeros_like(self.sums.own)
+        found = np.zeros_like(self.sums.sent_radiance)
         for k in range(len(self.sums.sources)):
             found += largest(self.sums.cells, sent(self.sums, k, around=True))
         return found
@@ -142,22 +142,22 @@ class Onward:
     def earlier(self) -> np.ndarray:
         """A bound, (n, bands) W m^-2 sr^-1, on the radiance of each surface by paths of fewer than
         `depth` segments, whose light can reach another surface; 0 for direct light."""
-        found = np.zeros_like(self.sums.own)
+        found = np.zeros_like(self.sums.sent_radiance)
         if self.depth is None:
             return found
-        for own, pieces in ((self.sums.own, EMITTED), (self.lamps, DIRECT)):
+        for own, pieces in ((self.sums.sent_radiance, EMITTED), (self.lamps, DIRECT)):
             if pieces < self.depth:
                 found += own + self.series(own, self.depth - 1 - pieces)
         return found
 
-    def of_body(self, i: int) -> np.ndarray:
+    def diffuse_radiance(self, i: int) -> np.ndarray:
         """Bound the mean radiance, (bands,), that the diffuse part of surface i receives from
         others."""
         if self.depth is None:
             return self.earlier[i]
         return gathered(self.transport.factors[i : i + 1], self.earlier)[0]
 
-    def of_lobe(self, i: int) -> np.ndarray:
+    def lobe_radiance(self, i: int) -> np.ndarray:
         """Bound the mean radiance, (bands,), that the lobe of surface i receives from others."""
         if self.depth is None:
             return self.earlier[i]
@@ -168,7 +168,7 @@ class Onward:
         terms from the second on are bounded by the norm of T."""
         if self.transport.factors.size <= _ORDERED or last < 2:
             return self.tails(sent, [1], last)[0]
-        once, t = self.transport.once(sent), self.norm
+        once, t = self.transport.apply(sent), self.norm
         with np.errstate(over="ignore"):
             more = last - 1 if t == 1 else t * (1 - np.float64(t) ** (last - 1)) / (1 - t)
         return once + times(once.max(0), more)
@@ -181,7 +181,7 @@ class Onward:
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.norm
         for k in range(1, min(last, _MAX_SEGMENTS) + 1):
-            sent = self.transport.once(sent)
+            sent = self.transport.apply(sent)
             whole = whole + sent
             found[np.array(firsts) <= k] += sent
             if not np.isfinite(sent).all():
@@ -231,8 +231,8 @@ def _transport(sums: Sums) -> Transport:
 def _form_factors(sums: Sums) -> np.ndarray:
     n = len(sums.surfaces)
     factors = np.ones((n, n))
-    found = [body_of(surface.of("shape")) for surface in sums.surfaces]
-    planes = [plane_of(surface.of("shape")) for surface in sums.surfaces]
+    found = [body_of(surface.field("shape")) for surface in sums.surfaces]
+    planes = [plane_of(surface.field("shape")) for surface in sums.surfaces]
     cells = sums.cells
     for j, body in enumerate(found):
         if body is not None:

@@ -50,7 +50,7 @@ def steps_of(name: str) -> list[str | int]:
     return [int(number) if number else word for word, number in _STEP.findall(name)]
 
 
-def _at(record: Any, step: str | int) -> Any:
+def _entry(record: Any, step: str | int) -> Any:
     if isinstance(step, int):
         inside = isinstance(record, tuple) and step < len(record)
         return record[step] if inside else None
@@ -60,7 +60,7 @@ def _at(record: Any, step: str | int) -> Any:
 def value_at(record: Any, name: str) -> Any:
     """Return the value of the field with that name, or None if the record has no such field."""
     for step in steps_of(name):
-        record = _at(record, step)
+        record = _entry(record, step)
     return record
 
 
@@ -69,7 +69,7 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
     if not steps:
         return value
     first, rest = steps[0], steps[1:]
-    inner = put(_at(record, first), rest, value)
+    inner = put(_entry(record, first), rest, value)
     if isinstance(first, int):
         return (*record[:first], inner, *record[first + 1 :])
     return replace(record, **{first: inner})

@@ -139,7 +139,7 @@ def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
     side = min(max(side, _COARSEST), _FINEST)
     found = []
     for i, surface in enumerate(surfaces):
-        own = _cells(surface.of("shape"), side, about)
+        own = _cells(surface.field("shape"), side, about)
         if surface.low.two_sided:
             signs = (1, 1, -1, 1)  # the axes of the other side
             own = [np.concatenate([x, sign * x]) for x, sign in zip(own, signs, strict=True)]

@@ -20,7 +20,7 @@ from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tole
 from .illumination import has_size
 from .pixel import ASSUMED
 from .reflection import fills
-from .spectra import folded, with_bands
+from .spectra import folded, select_bands
 from .stages import Draft, Gone, Row
 
 # names of the fields that have one number for each band
@@ -210,7 +210,7 @@ class Choice:
         left = finished(scene, draft)
         if draft.bands is not None:
             kept, expand = draft.bands
-            left = with_bands(left, kept, len(expand))
+            left = select_bands(left, kept, len(expand))
             if threshold is not None:
                 threshold /= max(float(np.abs(expand).sum(1).max()), 1.0)
             taking = folded(own, kept, expand) if self.chain.dn is not None else None

@@ -44,13 +44,13 @@ class Factor(NamedTuple):
 
 def black_level(development: Development) -> Factor:
     """Return the factor of black-level subtraction, which is 1 because it is a shift."""
-    return Factor(1.0, "a shift", float(_known(development.black_level)) == 0)
+    return Factor(1.0, "a shift", float(_require(development.black_level)) == 0)
 
 
 def white_level(development: Development) -> Factor:
     """Return the factor of scaling to the white level, 1 / (white - black)."""
     black = 0.0 if development.black_level is None else float(development.black_level)
-    span = float(_known(development.white_level)) - black
+    span = float(_require(development.white_level)) - black
     return Factor(1 / span, "over the span from black to white", span == 1)
 
 
@@ -100,7 +100,7 @@ def denoising(development: Development) -> Factor:
 
 def colour_matrix(development: Development) -> Factor:
     """Return the factor of a colour matrix: the largest sum of the absolute values in a row."""
-    matrix = np.asarray(_known(development.colour_matrix), float)
+    matrix = np.asarray(_require(development.colour_matrix), float)
     identity = np.array_equal(matrix, np.eye(3))
     return Factor(float(np.abs(matrix).sum(1).max()), "row sums of the matrix", identity)
 
@@ -114,7 +114,7 @@ def tone_map(development: Development) -> Factor:
         case Reinhard(white=None):
             return Factor(1.0, "largest slope, at 0")
         case Reinhard(white=white):
-            return Factor(max(1.0, float(_known(white)) ** -2), "largest slope, at 0 or infinity")
+            return Factor(max(1.0, float(_require(white)) ** -2), "largest slope, at 0 or infinity")
         case Filmic():
             return Factor(FILMIC_SLOPE, "largest slope, at 0.12")
         case ToneCurve(inputs=inputs, outputs=outputs):
@@ -214,6 +214,6 @@ def _row(name: str, low: Factor, high: Factor) -> Row:
     return Row(name, nothing + INF, why, None, unit=DN)
 
 
-def _known(value: Any) -> Any:
+def _require(value: Any) -> Any:
     assert value is not None
     return value

@@ -56,13 +56,15 @@ def _interreflection_bound(
     sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray
 ) -> np.ndarray:
     """Bound the same for light reflected between surfaces, (n, bands) W m^-2 sr^-1."""
-    found = np.zeros_like(sums.own)
+    found = np.zeros_like(sums.sent_radiance)
     if onward.depth is None:
         return found
     for i, own in enumerate(sums.reflections):
         whole = np.pi * (1 + own.grazing) * sums.k_body[i]
         uneven = 2 * np.pi * (plain[i] + times(sums.k_body[i], 2 * own.grazing))
-        found[i] = times(whole if smooth[i] else np.minimum(uneven, whole), onward.of_body(i))
+        found[i] = times(
+            whole if smooth[i] else np.minimum(uneven, whole), onward.diffuse_radiance(i)
+        )
         if own.lobe is not None:
-            found[i] += times(own.lobe.size * sums.k_lobe[i], onward.of_lobe(i))
+            found[i] += times(own.lobe.size * sums.k_lobe[i], onward.lobe_radiance(i))
     return found

@@ -75,7 +75,7 @@ def light_on(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
     return Arrived(wi, width, cos_i, e, body, facing)
 
 
-def of_lobes(
+def lobe_products(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
     """Return the largest product E f_r cos / k_s, (c,), of the irradiance E and the lobe's shading

@@ -14,7 +14,7 @@ from .probes import probed_rows
 from .radiance import scene_stage
 from .spectra import band_rows
 from .stages import Arriving, Ends, Method, Row, unproved
-from .unmet import unmet_rows, with_owners
+from .unmet import mark_owned_parts, unmet_rows
 
 
 def scene_rows(
@@ -33,7 +33,7 @@ def scene_rows(
         further, sums = bounce_rows(onward), onward.sums
         if depth is None:
             bodies = tuple(unmet_rows(scene, sums))
-            rows = (*with_owners(rows, bodies), *bodies)
+            rows = (*mark_owned_parts(rows, bodies), *bodies)
         rows += band_rows(sums, direct=depth is None)
         if method.whole_paths:
             why = "the integrator follows paths to their end, so they cannot be shortened"

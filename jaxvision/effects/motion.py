@@ -116,7 +116,7 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
     """Return the largest displacement, pixels, from rest at one time, and why it is inf."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
-    if not same(_without_places(scene, view), _without_places(now, seen)):
+    if not same(_static_parts(scene, view), _static_parts(now, seen)):
         return INF, "the motion changes light or materials, not only places"
     turned = not same(view, seen)
     bodies: list[tuple[Any, Any]] = [
@@ -189,7 +189,7 @@ def _points(shape: Any) -> np.ndarray | None:
     return corners_of(shape)
 
 
-def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
+def _static_parts(scene: Scene, view: View) -> tuple[Any, ...]:
     """Return the parts of a scene and a view that do not change if objects only move."""
     surfaces = [(s.material, s.emission) for s in scene.surfaces]
     optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}

@@ -65,7 +65,7 @@ class _Grids:
         self.brightness = cache(self._brightness)
         self.slopes = cache(self._slopes)
 
-    def without(self, *parts: str) -> View:
+    def drop(self, *parts: str) -> View:
         """Return the view without some parts, with one pixel for each sample of the apertures."""
         view, n = self.view.high, self.oversampling
         rows, columns = view.resolution
@@ -81,7 +81,7 @@ class _Grids:
     def fixed(self) -> bool:
         """Whether all parameters that these pictures depend on are fixed."""
         names = set(vars(self.view.high)) - {"position", "rotation", "resolution"}
-        return all(same(*self.view.of(name)) for name in names)
+        return all(same(*self.view.field(name)) for name in names)
 
     @property
     def straight(self) -> bool:
@@ -102,13 +102,13 @@ class _Grids:
 
     def _brightness(self, *gone: str) -> np.ndarray:
         """Compute the gain of each pixel, (h, w), without some parts and without diffraction."""
-        view = self.without("diffraction", *gone)
+        view = self.drop("diffraction", *gone)
         ones = jnp.ones((*view.resolution, 1), view.pixel_pitch.dtype)
         return np.asarray(_brightness_of(view, ones), float)[..., 0]
 
     def _slopes(self, *gone: str) -> np.ndarray:
         """Compute slopes of chief rays, (2, h + 2, w + 2), of pixels and the picture's edges."""
-        view = self.without(*gone)
+        view = self.drop(*gone)
         dtype = view.pixel_pitch.dtype
         rows, columns = (
             jnp.asarray([-0.5, *range(size), size - 0.5], dtype) for size in view.resolution

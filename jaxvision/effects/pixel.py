@@ -141,11 +141,11 @@ class Pixel:
 
     @cached_property
     def _electrons(self) -> float:
-        light = freed(self.sensor.high, self.irradiance) + self.beside
+        light = freed(self.sensor.high, self.irradiance) + self.offset_charge
         return clean(light) * self.smear_factor
 
     @cached_property
-    def beside(self) -> float:
+    def offset_charge(self) -> float:
         """The largest number of electrons that a light offset adds or removes."""
         return max(light_offset_electrons(end, self.irradiance) for end in self.sensor)
 
@@ -154,7 +154,7 @@ class Pixel:
         """The number of electrons that a light offset removes from a pixel without light."""
         offset = self.sensor.low["light_offset"]
         below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
-        return self.beside if below else 0.0
+        return self.offset_charge if below else 0.0
 
     @cached_property
     def repulsion(self) -> float:
@@ -225,7 +225,12 @@ class Pixel:
         """A lower bound on the variance of the brightest charge. The bound is 0 if a full well may
         limit the charge or if charges repel each other, because a full well and repulsion reduce
         the variance."""
-        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.on_charge
+        sure = (
+            self.counted
+            and self.spilt.rms < 1e-6
+            and self.repulsion == 0
+            and not self.charge_effects
+        )
         return self.light + self.dark if sure else 0.0
 
     @property
@@ -239,7 +244,11 @@ class Pixel:
         """The smallest variance of any charge: the number of counted dark electrons, less the
         electrons that charge transfer loses. A full well that clips a charge reduces its rms by at
         most the excess."""
-        if not self.counted or self.on_charge or self.sensor.high["brighter_fatter"] is not None:
+        if (
+            not self.counted
+            or self.charge_effects
+            or self.sensor.high["brighter_fatter"] is not None
+        ):
             return 0.0
         dark = max(min(self._darks) - self.deficit, 0.0)
         return max(math.sqrt(dark * self.read_share) - self.spilt.rms, 0.0) ** 2
@@ -261,39 +270,39 @@ class Pixel:
         return self.counted_dark + self.added() / larger
 
     @cached_property
-    def behind_column(self) -> float:
+    def gain_after_conversion(self) -> float:
         """The change in DN for one electron after the conversion: K sqrt(1 + q^2)."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
-    def behind_charge(self) -> float:
+    def gain_of_charge(self) -> float:
         """The change in DN for one electron of arriving charge: K sqrt((1 + c^2)(1 + q^2)), with
         the largest factors of all effects on charge, conversion PRNU c and column PRNU q. The
         brighter-fatter effect of `repulsion` b multiplies the change by at most e^(3 b): a variance
         grows by up to e^(2 b), and the rms by which it is divided shrinks by up to e^-b."""
-        return self.behind_charges * self.push_factor**3
+        return self.gain_without_repulsion * self.push_factor**3
 
     @cached_property
-    def behind_charges(self) -> float:
-        """The factor `behind_charge` without the brighter-fatter effect."""
-        return self.behind_conversion * self.grown
+    def gain_without_repulsion(self) -> float:
+        """The factor `gain_of_charge` without the brighter-fatter effect."""
+        return self.gain_of_conversion * self.grown
 
     @cached_property
     def grown(self) -> float:
         """The largest factor by which the effects on charge multiply a charge or a change of it."""
-        return math.prod(own_bound(effect, self.rms)[1] for effect in self.on_charge)
+        return math.prod(own_bound(effect, self.rms)[1] for effect in self.charge_effects)
 
     @cached_property
-    def own(self) -> tuple[Ends[Any], ...]:
+    def user_effects(self) -> tuple[Ends[Any], ...]:
         """The user-defined effects on charge, which were registered."""
         both = (end["own"] or () for end in self.sensor)
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
 
     @cached_property
-    def on_charge(self) -> tuple[Ends[Any], ...]:
+    def charge_effects(self) -> tuple[Ends[Any], ...]:
         """All effects on charge: user-defined effects, mixing, and the nonlinearity."""
         last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
-        return (*self.own, *(ends for ends in last if ends.low is not None))
+        return (*self.user_effects, *(ends for ends in last if ends.low is not None))
 
     def change_by(self, effect: Ends[Any]) -> float:
         """Return the largest root mean square change, in electrons, of any pixel by an effect on
@@ -325,9 +334,9 @@ class Pixel:
         return math.hypot(self.bright, math.sqrt(noise), self.high("prnu") * self.light)
 
     @cached_property
-    def behind_conversion(self) -> float:
+    def gain_of_conversion(self) -> float:
         """The change in DN for one electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
-        return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
+        return self.gain_after_conversion * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
     def charge(self) -> Charge:
@@ -383,8 +392,8 @@ class Pixel:
         becomes full. The change of the reading is also at most the sum of the charges received
         before and after the change."""
         if self.received == 0:
-            return self.behind_charge * by
-        return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
+            return self.gain_of_charge * by
+        return self.gain_of_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
 
     @cached_property
     def reach(self) -> float:
@@ -460,12 +469,12 @@ def pixel_of(
         kept = {name: None if f"sensor.{name}" in gone else value for name, value in fields}
         own = enumerate(kept["own"] or ())
         kept = kept | {"own": tuple(e for i, e in own if f"sensor.own[{i}]" not in gone)}
-        return kept | _of_one_tap(kept, extreme)
+        return kept | _extreme_tap(kept, extreme)
 
     return Pixel(Ends(left(sensor.low, np.min), left(sensor.high, np.max)), irradiance, shape)
 
 
-def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
+def _extreme_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the parameters times the smallest or the largest factor of any tap."""
     taps = kept["taps"]
     found: dict[str, Any] = {"untapped": kept}

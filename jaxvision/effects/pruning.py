@@ -34,7 +34,7 @@ _probe = jax.jit(render, compiler_options=FAST)
 def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
     """Return a `Row` for every effect. For a view, only the effects of the scene and the lens are
     included."""
-    view, sensor = camera.of("view"), camera.of("sensor")
+    view, sensor = camera.field("view"), camera.field("sensor")
     rows, arriving = scene_rows(scene, view, sensor.high, method)
     aperture = sensor.low.pixel_aperture
     finer = 1 if aperture is None else aperture.oversampling
@@ -45,7 +45,7 @@ def _chain(scene: Ends[Scene], camera: Ends[Camera], method: Method) -> Chain:
     rows += motion_stage(scene, view, method.motion, sensor=sensor, moments=method.moments)
     shape = view.low.resolution
     of_sensor, response = sensor_stage(sensor, on_sensor.irradiance, shape=shape)
-    rows += of_sensor + development_stage(camera.of("development"))
+    rows += of_sensor + development_stage(camera.field("development"))
     return Chain(rows, on_sensor.opening, response.dn, response.dark)
 
 

@@ -83,7 +83,7 @@ def scene_stage(
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
     """Return the supremum of the picture's radiance, (bands,), visible lamps included."""
-    found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
+    found = onward(sums.sent_radiance[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
         found = found + onward(sent(sums, k), sent(sums, k, around=True))
     return np.maximum(pictured(sums, found), direct_radiance(sums, sums.shown))
@@ -92,7 +92,7 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
 def depths(sums: Sums) -> tuple[float, float]:
     """Return the smallest and largest depth, m along the axis, of all that may be in view."""
     eye = sums.eye
-    found = [body_of(surface.of("shape")) for surface in sums.surfaces]
+    found = [body_of(surface.field("shape")) for surface in sums.surfaces]
     lamps = [
         source.body if source.kind == "area" else None
         for source, visible in zip(sums.sources, sums.visible, strict=True)
@@ -253,7 +253,7 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     """Bound the effect of a specular lobe by all of its light. If the lobe is dropped, a Lambertian
     surface with the same k_d remains."""
     material = sums.surfaces[i].low.material
-    others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
+    others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.lobe_radiance(i))
 
     def of_light(k: int, around: bool) -> np.ndarray:
         return lobe_sent(sums, k, around=around)
@@ -300,7 +300,7 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
         even = times(sums.body[k][:, None], times(plain, sums.spectrum[k]))
         return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k]))
 
-    others = times(np.pi * (plain + 2 * grazing), onward.of_body(i))
+    others = times(np.pi * (plain + 2 * grazing), onward.diffuse_radiance(i))
     amount = _largest_sent(sums, onward, i, of_light, others)
     name = f"surfaces[{i}].material"
     if np.isinf(plain).any() or not hasattr(material, "diffuse"):
@@ -316,7 +316,7 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     proportional to k_d, a map of k_d changes this light by at most the relative range of the map.
     The same holds for the specular lobe and k_s. For any other map, the bound is all light that the
     surface reflects."""
-    own, material = sums.reflections[i], sums.surfaces[i].of("material")
+    own, material = sums.reflections[i], sums.surfaces[i].field("material")
     bands, field = sums.k_body.shape[1], place.removeprefix("material.")
     of_body = of_lobe = np.ones(bands)
     why = "replaced by its mean: at most all light that the surface reflects"
@@ -326,8 +326,8 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
         of_body, of_lobe = (share, 0 * share) if field == "diffuse" else (0 * share, share)
         why = f"replaced by its mean, within {share.max():.3g} of its largest value"
     k_body = of_body * sums.k_body[i]
-    others = times(np.pi * (1 + own.grazing) * k_body, onward.of_body(i))
-    others = others + times(_size(own.lobe) * of_lobe * sums.k_lobe[i], onward.of_lobe(i))
+    others = times(np.pi * (1 + own.grazing) * k_body, onward.diffuse_radiance(i))
+    others = others + times(_size(own.lobe) * of_lobe * sums.k_lobe[i], onward.lobe_radiance(i))
 
     def of_light(k: int, around: bool) -> np.ndarray:
         body = times(sums.body[k][:, None], times(k_body, sums.spectrum[k]))
@@ -362,7 +362,7 @@ def _is_proportional(material: Ends[Any], field: str) -> bool:
 
 def emission(sums: Sums, onward: Onward, i: int) -> Row:
     """Bound the effect of the radiance that a surface emits."""
-    own = emitted(sums.surfaces, sums.own.shape[1])
+    own = emitted(sums.surfaces, sums.sent_radiance.shape[1])
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
     name = f"surfaces[{i}].emission"
@@ -374,11 +374,11 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
     the picture, with the absorption coefficient a. The length x of a path inside the glass is at
     most the number of segments times the diameter of the glass body. There is no bound for a
     surface that is not closed. Under direct light, glass is black, and the effect is 0."""
-    material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
+    material, shape = sums.surfaces[i].field("material"), sums.surfaces[i].field("shape")
     a = np.max([numbers(end.absorption).max() for end in material])
     body = body_of(shape)
     if onward.depth is None:
-        amount, why = np.zeros(sums.own.shape[1]), "direct light does not pass glass"
+        amount, why = np.zeros(sums.sent_radiance.shape[1]), "direct light does not pass glass"
     elif body is None or a > 0:
         length = np.inf
         if body is not None and is_closed(shape):
@@ -388,7 +388,7 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
         share = -np.expm1(-a * length)
         amount, why = top(sums, onward) * share, f"absorbs at most {share:.3g} along a path"
     else:
-        amount, why = np.zeros(sums.own.shape[1]), "absorbs nothing"
+        amount, why = np.zeros(sums.sent_radiance.shape[1]), "absorbs nothing"
     name = f"surfaces[{i}].material.absorption"
     return Row(name, amount, why, setting(name), saves=_REST)
 
@@ -397,7 +397,7 @@ def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
     """Bound the effect of ambient light by the largest k_a L_a of a visible surface, with the
     ambient reflectance k_a and the ambient radiance L_a. Light transport ignores ambient light."""
     present = scene.low.ambient is not None
-    own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
+    own = ambient_reflected(scene, sums.surfaces, sums.sent_radiance.shape[1])
     if onward.depth is not None:
         own = 0 * own
     amount = pictured(sums, own[sums.cells.surface])

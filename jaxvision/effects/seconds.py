@@ -25,7 +25,7 @@ from ..sensor import raw_image
 from ..transport import Paths, path_along
 from .bounces import DIRECT
 from .choice import bands_of, finished
-from .spectra import with_bands
+from .spectra import select_bands
 from .stages import Draft, Row
 
 _SIDE = 256  # pixels along the longer side of the measured picture
@@ -111,7 +111,7 @@ class _Calls:
         left = finished(self.scene, draft)
         if draft.bands is not None:
             kept, expand = draft.bands
-            left = with_bands(left, kept, len(expand))
+            left = select_bands(left, kept, len(expand))
         aperture = sensor.pixel_aperture
         fine = 1 if aperture is None else aperture.oversampling**2
         moments = 1 if draft.motion is None else draft.moments or 1

@@ -78,7 +78,7 @@ def sensor_stage(
         for name, kinds, electrons, why, kind in sensor_charge.COUNTING
         if isinstance(sensor.high.shot_noise, kinds)
     ]
-    rows += [_user_effect(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
+    rows += [_user_effect(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).user_effects)]
 
     def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
         return _response(pixel(gone), np.asarray(change, float))
@@ -151,7 +151,10 @@ def _user_effect(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel
     """Return the `Row` of a user-defined effect, with the bound registered for that effect."""
 
     def bound(pixel: Pixel) -> Bound:
-        dn, kind = clean(pixel.behind_charges * pixel.change_by(ends)), type(ends.low).__name__
+        dn, kind = (
+            clean(pixel.gain_without_repulsion * pixel.change_by(ends)),
+            type(ends.low).__name__,
+        )
         return Bound(dn, kind if math.isfinite(dn) else f"no bound of {kind} is known")
 
     def drop(draft: Draft) -> Draft:

@@ -70,7 +70,7 @@ def full_well(pixel: Pixel) -> Bound:
     """Bound the full well by the rms excess of the brightest charge (module `overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
-    return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
+    return Bound(pixel.gain_of_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
 
 
 def blooming(pixel: Pixel) -> Bound:
@@ -78,7 +78,7 @@ def blooming(pixel: Pixel) -> Bound:
     if pixel.received == 0:
         return Bound(0.0, "no charge spills")
     why = f"{pixel.spilt.mean:.3g} e- above the well expected, at most"
-    return Bound(pixel.behind_charge * pixel.received, why, rank=pixel.rank_of_counts)
+    return Bound(pixel.gain_of_charge * pixel.received, why, rank=pixel.rank_of_counts)
 
 
 def charge_transfer(pixel: Pixel) -> Bound:
@@ -95,7 +95,7 @@ def charge_transfer(pixel: Pixel) -> Bound:
     mean = max(lost, gained) * pixel.bright
     pattern = pixel.high("prnu") * pixel.light * math.hypot(lost, gained)
     noise = growth(pixel.quiet, mean) if pixel.counted else 0.0
-    moved = pixel.behind_charge * math.hypot(mean, noise + pattern)
+    moved = pixel.gain_of_charge * math.hypot(mean, noise + pattern)
     return Bound(moved, f"{max(lost, gained):.3g} of a packet stays behind")
 
 
@@ -108,7 +108,7 @@ def charge_effects(name: str, pixel: Pixel) -> Bound:
         why = "the light is not bounded"
     elif not math.isfinite(moved):
         why = f"no bound of {why} is known"
-    return Bound(pixel.behind_charges * moved, why)
+    return Bound(pixel.gain_without_repulsion * moved, why)
 
 
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:

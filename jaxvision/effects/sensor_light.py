@@ -23,8 +23,10 @@ exposure_time = unbounded("scales all charge: nothing can be left out")
 
 def light_offset(pixel: Pixel) -> Bound:
     """Bound the effect of an offset of the light by the light that it adds or subtracts."""
-    beside = pixel.beside * pixel.smear_factor * pixel.push_factor
-    return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- besides the light")
+    beside = pixel.offset_charge * pixel.smear_factor * pixel.push_factor
+    return Bound(
+        pixel.moved(beside, patterned=True), f"{pixel.offset_charge:.3g} e- besides the light"
+    )
 
 
 def infrared_cut(pixel: Pixel) -> Bound:

@@ -37,7 +37,7 @@ def conversion_prnu(pixel: Pixel) -> Bound:
     variance = charge * pixel.grown if pixel.counted else 0.0
     variance += (pixel.high("prnu") * pixel.light * pixel.grown) ** 2
     grown = growth(pixel.added() + counted, rms**2 * (variance + charge**2))
-    return Bound(pixel.behind_column * grown, f"{rms:.3g} of {charge:.4g} e-")
+    return Bound(pixel.gain_after_conversion * grown, f"{rms:.3g} of {charge:.4g} e-")
 
 
 def column_prnu(pixel: Pixel) -> Bound:
@@ -61,7 +61,7 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
     variance = pixel.variances.high[name]
     conversion = pixel.low("conversion_prnu")
     rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
-    moved = pixel.behind_column * growth(rest, variance)
+    moved = pixel.gain_after_conversion * growth(rest, variance)
     return Bound(moved, f"{math.sqrt(variance):.3g} e- rms")
 
 
@@ -70,7 +70,7 @@ def telegraph_noise(pixel: Pixel) -> Bound:
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
-    moved = pixel.behind_column * growth(rest, trapped)
+    moved = pixel.gain_after_conversion * growth(rest, trapped)
     why = f"{rare:.3g} pixels have a trap; the bound is for these"
     return Bound(moved, why, rare=rare)
 
@@ -93,11 +93,13 @@ def taps(pixel: Pixel) -> Bound:
     plain = pixel.sensor.high["untapped"]
     share = (1.0 if plain["gain"] is None else float(plain["gain"])) / pixel.gain
     added = sum(pixel.variances.high.values()) + _trap(pixel)
-    size = math.hypot(pixel.behind_charge * pixel.rms, pixel.behind_column * math.sqrt(added))
+    size = math.hypot(
+        pixel.gain_of_charge * pixel.rms, pixel.gain_after_conversion * math.sqrt(added)
+    )
     noise = math.sqrt(read_out_variances(plain).get("read_noise", 0.0))
     rms = 0.0 if plain["prnu"] is None else float(plain["prnu"])
-    moved = gain * size + pixel.behind_column * read * noise
-    moved += pixel.behind_charge * pattern * rms * pixel.light
+    moved = gain * size + pixel.gain_after_conversion * read * noise
+    moved += pixel.gain_of_charge * pattern * rms * pixel.light
     why = f"{offset:.3g} DN; gain, read noise, pattern by {gain:.3g}, {read:.3g}, {pattern:.3g}"
     of_light = 0.0
     if light:

@@ -29,7 +29,7 @@ _ROUNDING = 1e-15  # relative rounding error of each term, and so of each pixel,
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
     """Return a `Row` "bands" for each of several reduced numbers of bands, the smallest number
     first. At most one of these rows is chosen. The bounds are in W m^-2 sr^-1."""
-    bands = sums.own.shape[1]
+    bands = sums.sent_radiance.shape[1]
     if bands == 1:
         return ()
     why = _why_not(sums, direct)
@@ -69,7 +69,9 @@ def _why_not(sums: Sums, direct: bool) -> str:
     for k, source in enumerate(sums.sources):
         light = sums.lights[k].low
         for name in light.spectra:
-            table = np.asarray(getattr(light, name), np.float64).reshape(-1, sums.own.shape[1])
+            table = np.asarray(getattr(light, name), np.float64).reshape(
+                -1, sums.sent_radiance.shape[1]
+            )
             if len(table) > 1 and np.linalg.matrix_rank(table) > 1:
                 return f"lights[{k}] has many spectra"
         if source.why:
@@ -149,7 +151,7 @@ def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray
     return Row("bands", residual, why, drop, **more)
 
 
-def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
+def select_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
     """Return a scene with only these bands of every spectrum of `bands` numbers."""
 
     def cut(spectrum: Any) -> Any:

@@ -21,9 +21,9 @@ from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen, lobe_angles
 from .blocking import may_block
-from .bodies import body_of, gap, is_closed, stacked, surface_bodies, taken
+from .bodies import body_of, gap, is_closed, select_bodies, stacked, surface_bodies
 from .cells import Cells, Eye, anywhere, bodies_of, cells_of, starts, visible_flags
-from .illumination import Source, light_on, of_lobes, source_of, times
+from .illumination import Source, light_on, lobe_products, source_of, times
 from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, shaded, umbra_flags
@@ -73,7 +73,7 @@ class Sums(NamedTuple):
     caustics: bool  # whether mirrors and glass may focus light of lamps without size
 
     @property
-    def own(self) -> np.ndarray:
+    def sent_radiance(self) -> np.ndarray:
         """The radiance that surfaces send by emission and ambient light, (n, bands)."""
         return self.emission + self.ambient
 
@@ -86,7 +86,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     surfaces = tuple(map(Ends, low.surfaces, high.surfaces))
     lights = tuple(map(Ends, low.lights, high.lights))
     sources = tuple(source_of(light) for light in lights)
-    reflections = tuple(reflection_of(surface.of("material")) for surface in surfaces)
+    reflections = tuple(reflection_of(surface.field("material")) for surface in surfaces)
     cells = cells_of(surfaces, about=eye.place)
     facing = cos_seen(cells, eye)[1] > 0
     if bounces:  # also from inside
@@ -169,9 +169,9 @@ def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
     grow at a surface that does not bound a body and is hit only from behind."""
     if own.indices is None:
         return 1.0
-    (least, most), body = own.indices, body_of(surface.of("shape"))
+    (least, most), body = own.indices, body_of(surface.field("shape"))
     viewer = eye.place[None], np.array([eye.size])
-    if least < 1 or body is None or eye.parallel or not is_closed(surface.of("shape")):
+    if least < 1 or body is None or eye.parallel or not is_closed(surface.field("shape")):
         return max(most, 1 / least) ** 2
     outside = gap(stacked([body]), stacked([viewer]))[0] > 0
     return 1.0 if outside else most**2
@@ -210,8 +210,8 @@ def ambient_reflected(
     """Return the largest reflected ambient light k_a L_a, (n, bands) W m^-2 sr^-1."""
     if scene.low.ambient is None:
         return np.zeros((len(surfaces), bands))
-    around = peak(scene.of("ambient"), "radiance")
-    materials = [surface.of("material") for surface in surfaces]
+    around = peak(scene.field("ambient"), "radiance")
+    materials = [surface.field("material") for surface in surfaces]
     dark = [getattr(material.low, "ambient", None) is None for material in materials]
     shares = zip(dark, materials, strict=True)
     return _table(bands, [None if no else around * peak(own, "ambient") for no, own in shares])
@@ -232,7 +232,7 @@ def _geometry(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         arrived = light_on(source, cells, nearest[cells.surface])
         body = times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
-        return body, of_lobes(arrived, source, lobes, cells, eye), arrived.facing
+        return body, lobe_products(arrived, source, lobes, cells, eye), arrived.facing
 
 
 def _mirrored(
@@ -273,7 +273,7 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
     if near:
         lamps = stacked([body for source in sources if (body := source.body) is not None])
         k, i = np.indices((len(near), len(surfaces))).reshape(2, -1)
-        apart = gap(taken(lamps, k), taken(bodies, i)).reshape(len(near), -1)
+        apart = gap(select_bodies(lamps, k), select_bodies(bodies, i)).reshape(len(near), -1)
         found[near] = np.where(bounded, apart, 0)
     return found
 

@@ -31,9 +31,9 @@ from .bodies import (
     nearest_on_segment,
     numbers,
     plane_of,
+    select_bodies,
     stacked,
     surface_bodies,
-    taken,
     unit,
 )
 from .cells import Cells, Eye, bodies_of, has_face_cells, part_of
@@ -114,7 +114,9 @@ def _meets(
     left = np.flatnonzero(meets)
     if len(left) <= _SEARCHED_PAIRS:
         i, j = cell[left], occluder[left]
-        meets[left] = gap(taken(hulls, i), taken(occluders, j), enough=tolerance) <= tolerance
+        meets[left] = (
+            gap(select_bodies(hulls, i), select_bodies(occluders, j), enough=tolerance) <= tolerance
+        )
     return meets
 
 
@@ -125,7 +127,7 @@ def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
     side = np.zeros(len(cells.radius))
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
-        if shape is surface.high.shape and is_convex(surface.of("shape")):
+        if shape is surface.high.shape and is_convex(surface.field("shape")):
             part = part_of(cells, i)
             away = np.sign(((cells.centre[part] - _middle(shape)) * cells.axis[part]).sum(1))
             clear = not isinstance(shape, TriangleMesh) or has_face_cells(shape)
@@ -148,7 +150,7 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
     if eye.everywhere:
         return inner & False
     for i in np.unique(cells.surface[inner]):
-        body = body_of(surfaces[i].of("shape"))
+        body = body_of(surfaces[i].field("shape"))
         assert body is not None
         bodies = stacked([body])
         lens = Bodies(eye.place[None, None], np.full((1, 1), eye.size))
@@ -196,7 +198,7 @@ def umbra_flags(
     of_cell = np.abs(cells.centre).max(1) + np.minimum(cells.radius, 1e300)
     for j in range(len(surfaces)) if occluders is None else occluders:
         for k, source in enumerate(sources):
-            shadow = _shadow_of(surfaces[j].of("shape"), source)
+            shadow = _shadow_of(surfaces[j].field("shape"), source)
             if shadow is None:
                 continue
             deep = _MARGIN * (shadow.size + of_body)
@@ -221,7 +223,7 @@ def covered(
         return False
     bodies = stacked([body])
     size = np.abs(bodies.points).max() + bodies.radii.max()
-    found = (_shadow_of(surface.of("shape"), source) for surface in surfaces)
+    found = (_shadow_of(surface.field("shape"), source) for surface in surfaces)
     return any(
         bool((shadow.least(bodies) > _MARGIN * (shadow.size + size)).all())
         for shadow in found

@@ -43,7 +43,7 @@ def unmet_rows(scene: Ends[Scene], sums: Sums) -> Iterator[Row]:
         yield Row(f"surfaces[{i}]", nothing, why, drop, saves=saves, together="unmet")
 
 
-def with_owners(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
+def mark_owned_parts(rows: Iterable[Row], owners: Iterable[Row]) -> Iterator[Row]:
     """Yield every `Row`. If a `Row` is for a part of a surface, and `owners` has a `Row` for the
     whole surface, mark the part as dropped together with the whole."""
     names = {row.name for row in owners}

@@ -65,7 +65,7 @@ def _answer(query: Query, dtype: DTypeLike, ray: Ray, mesh: TriangleMesh, *dista
     )
 
 
-def _found(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def _first_hits(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     found = scene.run(origin, direction)
     lost = found < 0
     found[lost] = scene.run(origin[lost], _broadcast(direction[lost]))
@@ -120,7 +120,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
     return np.asarray(one_by_one).reshape(batch)
 
 
-_nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
+_nearest, _blocks = partial(_ask, _first_hits), partial(_ask, _found_before)
 
 
 def _split_by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:

@@ -134,7 +134,7 @@ def _mesh_problems(mesh: TriangleMesh) -> list[str]:
     flat = faces_without_area(vertices, np.clip(faces, 0, len(vertices) - 1))
     found += _list_faces("faces without area, which are never met", np.flatnonzero(flat & ~outside))
     if mesh.normals is not None and not outside.any():
-        found += _list_faces("normals that all point behind their face", _behind(mesh))
+        found += _list_faces("normals that all point behind their face", _backward_faces(mesh))
     for name in ("normals", "uv"):
         value = getattr(mesh, name)
         if value is not None and not np.isfinite(np.asarray(value)).all():
@@ -142,7 +142,7 @@ def _mesh_problems(mesh: TriangleMesh) -> list[str]:
     return found
 
 
-def _behind(mesh: TriangleMesh) -> np.ndarray:
+def _backward_faces(mesh: TriangleMesh) -> np.ndarray:
     """Return the faces that render black because all three vertex normals point backwards."""
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)].astype(float)
     normals = np.asarray(mesh.normals)[np.asarray(mesh.faces)].astype(float)

@@ -415,7 +415,7 @@ def _search_chunks(
     return jax.lax.fori_loop(0, -(-count // _CHUNK), turn, carry)
 
 
-def _each(chunk: Any) -> list[Any]:
+def _unstack(chunk: Any) -> list[Any]:
     leaves, tree = jax.tree.flatten(chunk)
     return [tree.unflatten(one) for one in zip(*map(list, leaves), strict=True)]
 
@@ -425,7 +425,7 @@ def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
     three replaced by the shape's position. These integers have the order of the distances.
     """
     keys = []
-    for place, shape in enumerate(_each(chunk)):
+    for place, shape in enumerate(_unstack(chunk)):
         distance = _distance(ray, shape)
         bits = jnp.int64 if distance.dtype.itemsize == 8 else jnp.int32
         keys.append((jax.lax.bitcast_convert_type(distance, bits) & -_CHUNK) | place)
@@ -440,4 +440,4 @@ def _unpack(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
 
 
 def _any_of(ray: Ray, chunk: Any, distance: Scalar) -> Bool[Array, ""]:
-    return reduce(jnp.logical_or, (_blocks(ray, shape, distance) for shape in _each(chunk)))
+    return reduce(jnp.logical_or, (_blocks(ray, shape, distance) for shape in _unstack(chunk)))

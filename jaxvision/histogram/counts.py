@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide
 from ..core._shown import Shown
 from ..core._types import SHARE, Scalar, as_float, check_choice, is_known
@@ -167,7 +167,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 
 
 @takes_numbers
-@in_range(q=SHARE)
+@takes_range(q=SHARE)
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     """Return the smallest value that a fraction q of the counted values does not exceed.
 

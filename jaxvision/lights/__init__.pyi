@@ -48,7 +48,7 @@ from .incidence import (
     irradiance as irradiance,
     nearest_seen as nearest_seen,
     radiance_from as radiance_from,
-    seen as seen,
+    radiance_along as radiance_along,
 )
 from .light_field import LightFieldLight as LightFieldLight
 from .point import PointLight as PointLight

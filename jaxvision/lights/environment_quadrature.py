@@ -51,7 +51,7 @@ def found_by_quadrature(light: EnvironmentMap, rule: Quadrature) -> Found | None
     """Compare a quadrature of an environment with its true irradiance on seven surface
     orientations. Return the worst case if its error is large, else None. The environment must not
     be traced by JAX."""
-    whole = _whole(light)
+    whole = _all_cells(light)
     brightest = whole[0][np.argmax(whole[1])]
     normals = np.concatenate([np.eye(3), -np.eye(3), brightest[None]])
     nodes, shares = (np.asarray(x) for x in light_nodes(light, rule, light.radiance.dtype))
@@ -80,7 +80,7 @@ def warn_of_skies(lights: Sequence[Light], rules: Sequence[Rule], cure: str) -> 
             return
 
 
-def _whole(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
+def _all_cells(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
     """Return the directions of all cells of an environment in the world, (n, 3), and the irradiance
     from each, W m^-2, averaged over the bands."""
     radiance = np.asarray(light.radiance)

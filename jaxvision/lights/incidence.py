@@ -105,7 +105,7 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
     return (arriving.irradiance * cosines[:, None]).sum(axis=0)
 
 
-def seen(light: Light, ray: Ray) -> Seen:
+def radiance_along(light: Light, ray: Ray) -> Seen:
     """Return the radiance of an extended light along a ray, and the distance to the light.
 
     Args:
@@ -120,7 +120,7 @@ def seen(light: Light, ray: Ray) -> Seen:
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
-        >>> light = jv.lights.seen(lamp, jv.Ray([0, 0, 0], [0, 0, 1]))
+        >>> light = jv.lights.radiance_along(lamp, jv.Ray([0, 0, 0], [0, 0, 1]))
         >>> print(light.distance, light.radiance)
         3.0 [5.]
     """
@@ -146,7 +146,7 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
     """
 
     def nearer(before: Seen, light: Light) -> Seen:
-        ahead = seen(light, ray)
+        ahead = radiance_along(light, ray)
         both_far = jnp.isinf(before.distance) & jnp.isinf(ahead.distance)
         behind = before.radiance + jnp.where(both_far, ahead.radiance, 0)
         radiance = jnp.where(ahead.distance < before.distance, ahead.radiance, behind)

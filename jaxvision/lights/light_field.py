@@ -49,7 +49,7 @@ class LightFieldLight(Light):
         >>> brighter_to_the_right = jnp.array([0.0, 4.0]).reshape(1, 1, 2, 1, 1)
         >>> light_field = jv.LightFieldLight(brighter_to_the_right, near, far)
         >>> ray = jv.Ray([0.25, 0.5, 2], [0, 0, -1])
-        >>> float(jv.lights.seen(light_field, ray).radiance[0])
+        >>> float(jv.lights.radiance_along(light_field, ray).radiance[0])
         1.0
     """
 
@@ -232,6 +232,6 @@ register_extended(
     sample=light_field_sample,
     pdf=light_field_pdf,
     emitted=_emitted,
-    bound=lambda light: _window_bound(light, light.of("aperture")),
+    bound=lambda light: _window_bound(light, light.field("aperture")),
     word="",
 )

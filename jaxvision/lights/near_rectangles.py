@@ -156,7 +156,7 @@ def found_on_surfaces(
     occlusion; None if there is no such surface."""
     for surface in surfaces:
         for points, normals in _receivers(surface.shape, light):
-            normals = _turned(normals, light, surface)
+            normals = _orient_normals(normals, light, surface)
             found = found_near(light, rule, points, normals, least=_ON)
             if found is not None:
                 return found
@@ -174,7 +174,7 @@ def _checked(
             yield i, light, rule
 
 
-def _turned(normals: np.ndarray, light: RectangleLight, surface: Surface) -> np.ndarray:
+def _orient_normals(normals: np.ndarray, light: RectangleLight, surface: Surface) -> np.ndarray:
     """Return the normals of a surface, those of a two-sided one toward the plane of a light."""
     if not surface.two_sided:
         return normals
@@ -207,7 +207,7 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
             )
         case Quad():
             start, a, b = (np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v))
-            yield _on_flat(places, start, a, b, 1.0)
+            yield _feet_on_flat(places, start, a, b, 1.0)
         case Box():
             axes = np.eye(3) if shape.rotation is None else np.asarray(shape.rotation, float)
             centre = np.asarray(shape.centre, float)
@@ -215,7 +215,7 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
             for i in range(3):
                 for sign in (-1, 1):
                     a, b = 2 * sides[(i + 1) % 3], 2 * sign * sides[(i + 2) % 3]
-                    yield _on_flat(places, centre + sign * sides[i] - (a + b) / 2, a, b, 1.0)
+                    yield _feet_on_flat(places, centre + sign * sides[i] - (a + b) / 2, a, b, 1.0)
         case TriangleMesh():
             corners = np.asarray(shape.vertices, float)[np.asarray(shape.faces)]
             if len(corners) > _FACES:
@@ -223,7 +223,7 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
                 length = np.linalg.norm(across, axis=-1, keepdims=True)
                 yield corners.mean(1), across / np.where(length > 0, length, 1)
                 return
-            parts = [_on_flat(places, c[0], c[1] - c[0], c[2] - c[0], 0.5) for c in corners]
+            parts = [_feet_on_flat(places, c[0], c[1] - c[0], c[2] - c[0], 0.5) for c in corners]
             points, normals = zip(*parts, strict=True)
             yield np.concatenate(points), np.concatenate(normals)
 
@@ -241,7 +241,7 @@ def _projected(
     return points, np.broadcast_to(normal, points.shape)
 
 
-def _on_flat(
+def _feet_on_flat(
     places: np.ndarray, start: np.ndarray, a: np.ndarray, b: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the feet of perpendiculars that lie in a parallelogram, or in its triangle for a

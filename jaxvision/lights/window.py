@@ -44,7 +44,7 @@ class Window(Shown):
         >>> near, far = (jv.Window([0, 0, z], [1, 0, 0], [0, 1, 0]) for z in (0, -1))
         >>> light_field = jv.LightFieldLight(jnp.full((1, 1, 2, 2, 1), 3.0), near, far)
         >>> ray = jv.Ray([0.5, 0.5, 2], [0, 0, -1])
-        >>> float(jv.lights.seen(light_field, ray).distance)  # to the aperture
+        >>> float(jv.lights.radiance_along(light_field, ray).distance)  # to the aperture
         2.0
     """
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers, warn_caller
+from ..core._arguments import takes_numbers, takes_range, warn_caller
 from ..core._numerics import divide
 from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count, is_known
 from ..filters import correlate
@@ -31,7 +31,7 @@ _WIDE = 3.0  # pixel size in lambda N; larger pixels are integrated along their 
 
 
 @takes_numbers
-@in_range(wavelength=AMOUNT, f_number=AMOUNT)
+@takes_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
     """Return the radius of the first dark ring of the Airy pattern: 1.22 lambda N.
 
@@ -54,7 +54,7 @@ def airy_radius(wavelength: Scalars, f_number: Scalars) -> Scalars:
 
 
 @takes_numbers
-@in_range(wavelength=AMOUNT, f_number=AMOUNT)
+@takes_range(wavelength=AMOUNT, f_number=AMOUNT)
 def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Scalars:
     """Return the irradiance of the Airy pattern, (2 J_1(x) / x)^2 with x = pi r / (lambda N).
 
@@ -83,7 +83,7 @@ def airy_pattern(radius: Scalars, wavelength: Scalars, f_number: Scalars) -> Sca
 
 
 @takes_numbers
-@in_range(wavelength=AMOUNT, f_number=AMOUNT, pixel_pitch=AMOUNT)
+@takes_range(wavelength=AMOUNT, f_number=AMOUNT, pixel_pitch=AMOUNT)
 def airy_kernel(
     wavelength: Scalar | Colour,
     f_number: Scalar,
@@ -264,7 +264,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance:
 
 
 @takes_numbers
-@in_range(wavelength=AMOUNT, f_number=AMOUNT, obstruction=STOP)
+@takes_range(wavelength=AMOUNT, f_number=AMOUNT, obstruction=STOP)
 def diffraction_mtf(
     frequency: Scalars,
     wavelength: Scalars,

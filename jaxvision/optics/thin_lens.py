@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, or_one, smallest_divisor
 from ..core._types import AMOUNT, Scalars, is_known
 
@@ -117,7 +117,7 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 
 @takes_numbers
-@in_range(f_number=AMOUNT, focus_distance=AMOUNT)
+@takes_range(f_number=AMOUNT, focus_distance=AMOUNT)
 def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: Scalars) -> Scalars:
     """Return the ratio of image distance to lens diameter, z_i / d = N (1 + |m|), for a lens in
     focus.
@@ -212,7 +212,7 @@ def lens_focal_length(
 
 
 @takes_numbers
-@in_range(focus_distance=AMOUNT, f_number=AMOUNT)
+@takes_range(focus_distance=AMOUNT, f_number=AMOUNT)
 def circle_of_confusion(
     object_distance: Scalars, focus_distance: Scalars, focal_length: Scalars, f_number: Scalars
 ) -> Scalars:
@@ -249,7 +249,7 @@ def circle_of_confusion(
 
 
 @takes_numbers
-@in_range(focus_distance=AMOUNT, focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
+@takes_range(focus_distance=AMOUNT, focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
 def depth_of_field(
     focus_distance: Scalars, focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars
 ) -> tuple[Scalars, Scalars]:
@@ -285,7 +285,7 @@ def depth_of_field(
 
 
 @takes_numbers
-@in_range(focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
+@takes_range(focal_length=AMOUNT, f_number=AMOUNT, allowed_blur=AMOUNT)
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
     """Return the nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 

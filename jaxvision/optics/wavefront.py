@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._types import DIVISOR, Range, Scalar, Scalars, check_count, is_known
 
 STOP = Range(0, float(np.nextafter(1, 0)), nan=True)  # diameter of a central stop
@@ -72,7 +72,7 @@ def zernike(x: Scalars, y: Scalars, *, count: int) -> Float[Array, "... count"]:
 
 
 @takes_numbers
-@in_range(
+@takes_range(
     wavelength=DIVISOR,
     f_number=DIVISOR,
     pixel_pitch=DIVISOR,

@@ -29,5 +29,5 @@ from .tone_mapping import (
     log_curve as log_curve,
     reinhard as reinhard,
     scaled_to_key as scaled_to_key,
-    with_luminance as with_luminance,
+    set_luminance as set_luminance,
 )

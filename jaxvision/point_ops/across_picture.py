@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, smallest_divisor
 from ..core._types import AMOUNT, Scalar, as_relative, print_by_name
 
@@ -15,7 +15,7 @@ _LN_10 = 2.302585092994046
 
 
 @takes_numbers
-@in_range(width=AMOUNT)
+@takes_range(width=AMOUNT)
 def graded_filter(
     image: Picture,
     density: Scalar | float,

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import jax.numpy as jnp
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import smallest_divisor
 from ..core._powers import (
     Exponent,
@@ -19,7 +19,7 @@ from ..core._types import DIVISOR, Scalars, as_relative, check_choice, refuse_co
 
 
 @takes_numbers
-@in_range(gamma=DIVISOR)
+@takes_range(gamma=DIVISOR)
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """Encode linear values by linear^(1 / gamma). Values below 0 count as 0, with gradient 0.
 
@@ -46,7 +46,7 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
 
 
 @takes_numbers
-@in_range(gamma=DIVISOR)
+@takes_range(gamma=DIVISOR)
 def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """Decode values by encoded^gamma, the inverse of `gamma_encode`. Values below 0 count as 0.
 

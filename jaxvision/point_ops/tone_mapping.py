@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..core._arguments import in_range, takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import (
     divide,
     log1p,
@@ -61,7 +61,7 @@ def _saturating_jvp(primals, tangents):
 
 
 @takes_numbers
-@in_range(key_value=DIVISOR)
+@takes_range(key_value=DIVISOR)
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
     """Multiply the luminance by the key divided by its log-average (geometric mean), which moves
     the picture's middle grey to the key.
@@ -121,7 +121,7 @@ def filmic(x: Scalars) -> Scalars:
 
 
 @takes_numbers
-@in_range(strength=AMOUNT)
+@takes_range(strength=AMOUNT)
 def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     """Apply the logarithmic curve log(1 + strength x) / log(1 + strength), which is 0 at 0 and 1 at
     1.
@@ -192,7 +192,7 @@ _SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]
 
 
 @takes_numbers
-def with_luminance(
+def set_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:
     """Scale each pixel from its luminance to a wanted luminance, which applies a curve and keeps

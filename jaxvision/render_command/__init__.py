@@ -11,5 +11,5 @@
 
 from .cost import cost_sentence
 from .integrators import light_findings, seeded_passes_of, seeded_pixels_of
-from .job import band_names, linear_srgb, render_to_file, with_resolution
+from .job import band_names, change_resolution, linear_srgb, render_to_file
 from .pruning import inspect_scene, lossless_sentence, prune_losslessly, prune_scene, pruned_scene

@@ -37,7 +37,7 @@ from ..files.scenes.bands import colours_of
 from ..files.scenes.schema import RenderEntry
 from ..point_ops import srgb_encode
 from ..scene import View
-from ..tasks import PROGRAMS, in_order
+from ..tasks import PROGRAMS, map_ordered
 from .cost import Clock, Cost, relative_error, time_block
 from .integrators import BY_PIXEL, light_findings, passes_of, pixels_of
 from .pruning import pruned_scene
@@ -163,8 +163,8 @@ def _render_tiles(
         work = _Work(source, settings, pruned)
         advance(partial.done, tiles)
         first, spent = partial.done, _Spent(clock)
-        for part in in_order(_tile, work, range(first, tiles), memory=PROGRAMS):
-            partial.append(spent.taken(part))
+        for part in map_ordered(_tile, work, range(first, tiles), memory=PROGRAMS):
+            partial.append(spent.record(part))
             advance(partial.done, tiles)
 
         def rows() -> Iterator[np.ndarray]:
@@ -195,8 +195,8 @@ def _render_passes(
     advance(partial.done, passes)
     memory, first = PROGRAMS + _PASS * math.prod(shape), partial.done
     spent = _Spent(clock)
-    for part in in_order(_pass, work, range(first, passes), memory=memory):
-        picture = spent.taken(part)
+    for part in map_ordered(_pass, work, range(first, passes), memory=memory):
+        picture = spent.record(part)
         squares = [np.square(picture, dtype=np.float64)] if several else []
         partial.add(np.concatenate([picture, *squares], axis=-1))
         advance(partial.done, passes)
@@ -272,7 +272,7 @@ class _Spent:
         self._there = np.zeros(2)
         self._workers: set[str] = set()
 
-    def taken(self, part: Part) -> np.ndarray:
+    def record(self, part: Part) -> np.ndarray:
         """Return the result of a tile or pass, and add its seconds to the total."""
         result, seconds, process = part
         if process != _PROCESS:
@@ -287,7 +287,7 @@ class _Spent:
         return float(seconds) * parts / max(here, 1), float(compiling), len(self._workers)
 
 
-def with_resolution(view: View, resolution: tuple[int, int]) -> View:
+def change_resolution(view: View, resolution: tuple[int, int]) -> View:
     """Return a view with another resolution, whose pixel pitch, in m, keeps the width of the
     picture."""
     pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])

@@ -67,7 +67,7 @@ class PartialImage:
         data = np.ascontiguousarray(values, "<f4").tobytes()
         if len(data) != 4 * self._values:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
-        file = self._begun()
+        file = self._open()
         file.seek(self._start_of(self.done))
         try:
             file.write(data + _checksum(data))
@@ -80,7 +80,7 @@ class PartialImage:
 
     def tile(self, index: int) -> np.ndarray:
         """Return the values of a finished tile, as a flat array of float32."""
-        file = self._begun()
+        file = self._open()
         file.seek(self._start_of(index))
         return np.frombuffer(file.read(4 * self._values), "<f4")
 
@@ -107,7 +107,7 @@ class PartialImage:
     def _start_of(self, index: int) -> int:
         return len(self._head) + index * self._record
 
-    def _begun(self) -> BinaryIO:
+    def _open(self) -> BinaryIO:
         if self._file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._path.write_bytes(self._head)

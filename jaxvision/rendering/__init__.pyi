@@ -14,7 +14,7 @@ from .pixel_loop import (
     Along as Along,
     PixelSamples as PixelSamples,
     Traced as Traced,
-    each as each,
+    map_rays as map_rays,
     numbers_of as numbers_of,
     photograph as photograph,
     sample_ray as sample_ray,

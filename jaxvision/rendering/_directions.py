@@ -14,7 +14,7 @@ from ..core._types import Colour
 from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
-from ..lights import direction_pdf, direction_sample, seen
+from ..lights import direction_pdf, direction_sample, radiance_along
 from ..scene import Light, Material
 from .shadows import Place, clear
 
@@ -60,7 +60,7 @@ def balanced(
 def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
     """Return the radiance, W m^-2 sr^-1, that arrives at the point from the direction `wi`; 0 if a
     shape blocks this direction."""
-    ahead = seen(light, Ray(point, wi))
+    ahead = radiance_along(light, Ray(point, wi))
     passes = None if place is None else clear(place, wi, ahead.distance)
     return where_clear(passes, ahead.radiance)
 

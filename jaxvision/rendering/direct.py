@@ -36,13 +36,13 @@ from ..lights.environment_quadrature import warn_of_skies
 from ..lights.near_rectangles import warn_of_near_surfaces
 from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
 from .edges import Edges, moving_edges
-from .maps import Patch, Varied, at_patch, patch_of, shading_normal, summed, varied_surfaces
+from .maps import Patch, Varied, evaluate_maps, patch_of, shading_normal, summed, varied_surfaces
 from .pixel_loop import (
     Along,
     PixelRay,
     PixelSamples,
-    each,
-    in_blocks,
+    map_blocks,
+    map_rays,
     numbers_of,
     photograph,
 )
@@ -197,7 +197,7 @@ def _reflected(
     materials = materials or [surface.material for surface in scene.surfaces]
     for members, group in group_by_structure(materials, largest=_LARGEST):
         material, among = take(members, group, encounter.shape)
-        material = material if patch is None else at_patch(material, patch)
+        material = material if patch is None else evaluate_maps(material, patch)
         shaded = reflected(material, light, normal, -ray.direction)
         radiance = jnp.where(among, shaded, radiance)
     return radiance
@@ -259,7 +259,7 @@ def direct_along(
         return _along(scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream)))
 
     if threshold is None or shapes.occluders is None:
-        return each(along)
+        return map_rays(along)
     return _direct_by_order(scene, shapes, rule, threshold)
 
 
@@ -315,7 +315,7 @@ def _direct_by_order(
 
             return jax.vmap(seen)(met, pixels, tuple(visible))
 
-        return in_blocks(together, *leaves, size=entries_per_step(TOGETHER))
+        return map_blocks(together, *leaves, size=entries_per_step(TOGETHER))
 
     return along
 

@@ -57,7 +57,7 @@ from ..lights import (
     lights_by_rule,
 )
 from ..lights import (
-    seen as radiance_of,
+    radiance_along as radiance_of,
 )
 from ..optics import project, view_ray
 from ..scene import (

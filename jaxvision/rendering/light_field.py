@@ -10,7 +10,7 @@ from ..lights import LightFieldLight, Rule, Window
 from ..lights.light_field import light_field_ray
 from ..scene import Scene
 from .direct import direct_along
-from .pixel_loop import in_blocks
+from .pixel_loop import map_blocks
 from .shadows import DEFAULT_RULE
 
 
@@ -65,4 +65,4 @@ def _recorded(
         return along(rays, Stream(numbers, None, None))
 
     numbers = jnp.arange(len(places), dtype=jnp.uint32)
-    return in_blocks(block, places, numbers, keep=()).reshape(*resolution, -1)
+    return map_blocks(block, places, numbers, keep=()).reshape(*resolution, -1)

@@ -105,10 +105,10 @@ def material_at(
     steps = None if width is None else (width[0] * across, width[1] * down)
     own = Coordinates(uv[0], uv[1], across, down)
     ready = material if width is None else replace_maps(material, summed)
-    return at_patch(ready, Patch(Vec(zero, zero, zero), own, None, steps))
+    return evaluate_maps(ready, Patch(Vec(zero, zero, zero), own, None, steps))
 
 
-def at_patch(record: Any, patch: Patch) -> Any:
+def evaluate_maps(record: Any, patch: Patch) -> Any:
     """Replace the maps of a record by their values at a patch. If `patch.steps` is not None, each
     map must be a `Summed`."""
     return replace_maps(record, lambda own: _value(own, patch))

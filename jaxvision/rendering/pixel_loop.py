@@ -199,13 +199,13 @@ def photograph(
         return mean_of_samples(sample, samples.count, first=first_sample, room=room)
 
     kept = keep if samples is None else None  # samples are checkpointed one by one
-    seen = in_blocks(block, number.astype(jnp.uint32), keep=kept)
+    seen = map_blocks(block, number.astype(jnp.uint32), keep=kept)
     radiance, error = (jnp.stack(x, axis=-1) if isinstance(x, tuple) else x for x in seen)
     shape = (-1,) if pixels is not None else (height, width)
     return Traced(*(x.reshape(*shape, x.shape[-1]) for x in (radiance, error)))
 
 
-def each(along: Callable[[Any, Stream], Any]) -> Along:
+def map_rays(along: Callable[[Any, Stream], Any]) -> Along:
     """Turn a function of one ray into a function of a block of rays.
 
     Args:
@@ -256,7 +256,7 @@ def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
     return view_ray(view, row + u[0] - 0.5, column + u[1] - 0.5, u=u[2:] if lens else None)
 
 
-def in_blocks(
+def map_blocks(
     function: Callable[..., Any],
     *arrays: Array,
     size: int | None = None,

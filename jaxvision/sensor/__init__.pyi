@@ -27,7 +27,7 @@ from .expectation import (
     expected_of_reading as expected_of_reading,
 )
 from .exposure import (
-    at_iso as at_iso,
+    set_iso as set_iso,
     drifted as drifted,
     expected_charge as expected_charge,
     filtered as filtered,

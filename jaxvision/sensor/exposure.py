@@ -67,7 +67,7 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
 
 
 @takes_numbers
-def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
+def set_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
     """Return the sensor at another ISO setting, with a gain in proportion to the ISO speed.
 
     ISO 12232 defines the speed S = 78 / H by the exposure H in lx s at which the ADC's range is
@@ -83,10 +83,10 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
         The sensor with another gain; a gain of None stands for 1 DN per electron.
 
     Example:
-        >>> print(jv.sensor.at_iso(jv.Sensor(gain=0.25, bits=12), 400).gain)
+        >>> print(jv.sensor.set_iso(jv.Sensor(gain=0.25, bits=12), 400).gain)
         1.0
     """
-    check_kind("at_iso: sensor", sensor, Sensor)
+    check_kind("set_iso: sensor", sensor, Sensor)
     gain = 1.0 if sensor.gain is None else sensor.gain
     return replace(sensor, gain=gain * (iso / base_iso))
 
@@ -125,8 +125,8 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     if isinstance(offset, ShutterOffset):
         assert sensor.exposure_time is not None  # asked for where the record is made
         longer = replace(sensor, exposure_time=jnp.maximum(sensor.exposure_time + offset.time, 0))
-        return over_exposure(longer, _free_dark(sensor, electrons))
-    freed = over_exposure(sensor, _free_dark(sensor, electrons))
+        return accumulate(longer, _free_dark(sensor, electrons))
+    freed = accumulate(sensor, _free_dark(sensor, electrons))
     if offset is None:
         return freed
     beside = _band_values("Sensor.light_offset", offset, electrons)
@@ -269,11 +269,11 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
     dtype of `like`; 0 without a dark current."""
     if sensor.dark_current is None:
         return jnp.zeros((), like.dtype)
-    return over_exposure(sensor, dark_rate(sensor.dark_current))
+    return accumulate(sensor, dark_rate(sensor.dark_current))
 
 
 @takes_numbers
-def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
+def accumulate(sensor: Sensor, rate: Scalars) -> Scalars:
     """Return the electrons that accumulate in one exposure at a given rate, e- s^-1. Without an
     `exposure_time` the result is the rate itself."""
     return rate if sensor.exposure_time is None else rate * sensor.exposure_time

@@ -43,7 +43,7 @@ from .brighter_fatter import (
     smoothed_pattern,
 )
 from .ccd import counted_variance, transferred, transferred_variance
-from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
+from .exposure import Counts, Light, accumulate, expected_charge, mean_dark
 from .mixing import mixed
 from .read_out import read_out_variance
 
@@ -153,7 +153,7 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
         variance = variance * smoothed_pattern(sensor.brighter_fatter, light)
     if sensor.hot_pixels is not None:
         hot = sensor.hot_pixels
-        excess = over_exposure(sensor, hot.rate)
+        excess = accumulate(sensor, hot.rate)
         variance = variance + hot.fraction * (2 - hot.fraction) * excess**2
     if sensor.charge_transfer is not None:
         variance = transferred_variance(variance, sensor.charge_transfer)
@@ -433,7 +433,7 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
     mean = mean + mean_dark(sensor, mean)
     if sensor.hot_pixels is not None:
         hot = sensor.hot_pixels
-        mean = mean + over_exposure(sensor, hot.fraction * hot.rate)
+        mean = mean + accumulate(sensor, hot.fraction * hot.rate)
     effect = sensor.brighter_fatter
     if effect is not None:
         mean = gathered(None, mean, effect, full_well=sensor.full_well)

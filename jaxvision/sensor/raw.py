@@ -17,7 +17,7 @@ from ._registry import affected, charge_effects
 from .adc import digitise
 from .brighter_fatter import gathered
 from .ccd import bloomed, transfer_noise, transferred
-from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
+from .exposure import Counts, Light, accumulate, expected_charge, mean_dark
 from .fixed_pattern import conversion_gains, hot_rates, offsets, sensitivity
 from .read_out import read_out_noise
 from .shot_noise import MOST_ELECTRONS, count
@@ -70,7 +70,7 @@ def collect(
         electrons = electrons + mean_dark(sensor, electrons)
     if sensor.hot_pixels is not None:
         rates = hot_rates(die_key, sensor.hot_pixels, shape=shape, dtype=dtype)
-        electrons = electrons + over_exposure(sensor, rates)
+        electrons = electrons + accumulate(sensor, rates)
     transfer = sensor.charge_transfer
     poisson = sensor.full_well is None and sensor.brighter_fatter is None
     if transfer is not None and poisson:

@@ -35,7 +35,7 @@ from ..lights import (
     incident_sample,
     light_nodes,
     nearest_seen,
-    seen,
+    radiance_along,
     split_by_rule,
     square_nodes,
 )
@@ -275,7 +275,7 @@ def shining_ahead(
     passed = jnp.zeros_like(shown)
 
     def passing(so_far: Colour, light: Light) -> Colour:
-        ahead = seen(light, ray)
+        ahead = radiance_along(light, ray)
         drawn = direction_pdf(light, ray.origin, ray.direction) / emitters.count
         weight = chance_weight(strategy, density, drawn)
         arriving = ahead.radiance * transmitted(absorption, ahead.distance)

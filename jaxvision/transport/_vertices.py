@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .. import brdf
 from ..brdf import Carries, Specular, draw_way, is_body, is_delta, transmitted
 from ..core._loops.bands import Bands, split_bands
-from ..core._loops.fusion import fuse, searched
+from ..core._loops.fusion import fuse, run_search
 from ..core._loops.groups import group_by_structure, take
 from ..core._maps import mean_of, replace_maps
 from ..core._numerics import divide, dot, reciprocal, select, smallest_divisor
@@ -43,7 +43,7 @@ from ..geometry import (
 )
 from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
 from ..rendering.band_count import band_count
-from ..rendering.maps import Patch, Varied, at_patch, patch_of, shading_normal, varied_surfaces
+from ..rendering.maps import Patch, Varied, evaluate_maps, patch_of, shading_normal, varied_surfaces
 from ..scene import Material, Scene
 from ._emitters import LARGEST, Emitters, emitters_of
 
@@ -139,7 +139,7 @@ def _splits(material: Material) -> bool:
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
     """Return the first surface that a ray hits, in m. Gradients are with respect to this shape
     alone."""
-    encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
+    encounter = checkpoint_name(run_search(nearest_shape, ray, surfaces.shapes), SEARCHED)
     hit, patch = fuse(hit_shape(ray, surfaces.shapes, encounter)), None
     if surfaces.varied is not None:
         patch = patch_of(surfaces.varied, encounter.shape, encounter.primitive, hit)
@@ -148,7 +148,7 @@ def meet(surfaces: Surfaces, ray: Ray) -> Met:
 
 def _here(material: Material, met: Met) -> Material:
     """Return a material with its maps evaluated at the point that the ray hit."""
-    return material if met.patch is None else at_patch(material, met.patch)
+    return material if met.patch is None else evaluate_maps(material, met.patch)
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
@@ -156,7 +156,7 @@ def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bo
     distance in m."""
     hit = met.hit
     way = hit.point, hit.normal, direction, distance
-    blocked = searched(occluded, *way, surfaces.shapes, size=hit.size)
+    blocked = run_search(occluded, *way, surfaces.shapes, size=hit.size)
     return checkpoint_name(blocked, SEARCHED)
 
 
@@ -288,7 +288,7 @@ def _vertex(
             zero if weighed else None,
             Onward(onward, split_bands(weight, bands), everywhere),
         )
-    onward, density = fuse(jax.lax.stop_gradient(_drawn(material, back, u)))
+    onward, density = fuse(jax.lax.stop_gradient(_draw_direction(material, back, u)))
     weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
     front = back.z > 0
@@ -305,7 +305,7 @@ def _vertex(
     )
 
 
-def _drawn(material: Material, back: Vec, u: Float[Array, "3"]) -> tuple[Vec, Scalar]:
+def _draw_direction(material: Material, back: Vec, u: Float[Array, "3"]) -> tuple[Vec, Scalar]:
     onward = as_vec(brdf.sample(material, back, u))
     return onward, brdf.pdf(material, onward, back)
 

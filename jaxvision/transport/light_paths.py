@@ -112,11 +112,11 @@ def light_traced(
                 f"Scene.surfaces[{i}] shines without end, which leaves light no place to start "
                 "from; give it a shape of finite area, or trace paths from the eye."
             )
-    return _with_sources(key, scene, view, seen, paths, depth)
+    return _add_sources(key, scene, view, seen, paths, depth)
 
 
 @one_program
-def _with_sources(
+def _add_sources(
     key: Key, scene: Scene, view: View, seen: Traced, paths: int, depth: int
 ) -> Traced:
     """Trace all paths from the emitters, and add their light to `seen`, the picture of visible

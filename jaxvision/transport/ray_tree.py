@@ -30,7 +30,7 @@ from ..lights import Quadrature, rules_of
 from ..lights.environment_quadrature import warn_of_skies
 from ..lights.near_rectangles import warn_of_near_surfaces
 from ..rendering import Along, PixelSamples, photograph
-from ..rendering.pixel_loop import check_lens, in_blocks
+from ..rendering.pixel_loop import check_lens, map_blocks
 from ..scene import Scene, View
 from ._emitters import Toward, shining_ahead, toward_each, transmitted
 from ._vertices import (
@@ -133,7 +133,7 @@ def ray_tree_radiances(
     def block(*leaves: Array) -> Float[Array, "n bands"]:
         return tile(tree.unflatten(leaves))
 
-    return in_blocks(block, *leaves, size=entries_per_step(TILE), lanes=_block(len(leaves[0])))
+    return map_blocks(block, *leaves, size=entries_per_step(TILE), lanes=_block(len(leaves[0])))
 
 
 def _block(rays: int) -> int:
@@ -230,11 +230,11 @@ def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
     ):
         onward = leave(met, ray, direction, (weight * part).max() > 0)
         after = absorption_after(world.surfaces, met, ray.direction, onward, absorption)
-        tree = _put(tree, slot, onward, weight * part, after)
+        tree = _store(tree, slot, onward, weight * part, after)
     return tree
 
 
-def _put(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour | None) -> _Tree:
+def _store(tree: _Tree, slot: Array, ray: Ray, weight: Colour, absorption: Colour | None) -> _Tree:
     return _Tree(
         tree.origin.at[slot].set(as_array(ray.origin)),
         tree.direction.at[slot].set(as_array(ray.direction)),

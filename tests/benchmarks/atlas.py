@@ -42,7 +42,7 @@ from jaxvision.accuracy.tables import rows
 from jaxvision.errors import InputError
 from jaxvision.files.scenes import read_scene
 from jaxvision.files.scenes.schema import override_settings
-from jaxvision.render_command import with_resolution
+from jaxvision.render_command import change_resolution
 
 STYLE = (
     "<style>svg{color:#1b1f24;background:#fff}@media (prefers-color-scheme:dark)"
@@ -119,7 +119,7 @@ _OF_FITS = {
 
 
 def _replaced(source, settings, side):
-    view = with_resolution(source.view, (side, side))
+    view = change_resolution(source.view, (side, side))
     return replace(source, render=override_settings(source.render, settings), view=view)
 
 

@@ -26,13 +26,13 @@ from fitting.study.run import study
 from jaxvision import tasks
 from jaxvision.files.scenes import read_scene
 from jaxvision.programs import keep_programs
-from jaxvision.render_command import render_to_file, with_resolution
+from jaxvision.render_command import change_resolution, render_to_file
 
 
 def one_round(number: int, cameras: list[Path], folder: Path) -> None:
     """One of each kind; seeds are new."""
     source = read_scene("cornell_box")
-    source = replace(source, view=with_resolution(source.view, (24, 32)))
+    source = replace(source, view=change_resolution(source.view, (24, 32)))
     settings = source.render.model_copy(update={"tile": 64, "samples": 1, "seed": number})
     render_to_file(source, folder / "box.exr", settings)
     (folder / "box.exr").unlink()

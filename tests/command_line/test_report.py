@@ -45,7 +45,7 @@ from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.notebook import ShownInNotebooks, section_html
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table, describing_nothing
-from fitting.report.sentences import Finding, said, said_once
+from fitting.report.sentences import Finding, evaluate_findings, said_once
 from fitting.report.sheet import sheet
 from fitting.rig import Rig
 from jaxvision.errors import InputError
@@ -99,8 +99,13 @@ def test_sentences_are_said_where_their_conditions_hold():
         Finding("number", lambda x: {"x": x} if x > 1 else None, "{x:.1f} is above one."),
         Finding("several", lambda x: ({"i": i} for i in range(x)), "Number {i}."),
     ]
-    assert said(table, 0) == ()
-    assert said(table, 2) == ("Positive.", "2.0 is above one.", "Number 0.", "Number 1.")
+    assert evaluate_findings(table, 0) == ()
+    assert evaluate_findings(table, 2) == (
+        "Positive.",
+        "2.0 is above one.",
+        "Number 0.",
+        "Number 1.",
+    )
 
 
 @pytest.mark.parametrize(

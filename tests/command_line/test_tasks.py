@@ -58,19 +58,19 @@ def refusing(shared, item):
 
 def test_results_come_in_the_order_of_the_tasks(client):
     shared = {"factor": 7}
-    alone = list(tasks.in_order(late_first, shared, range(40)))
+    alone = list(tasks.map_ordered(late_first, shared, range(40)))
     with jv.cluster(client):
-        assert list(tasks.in_order(late_first, shared, range(40))) == alone
-        assert list(tasks.in_order(late_first, shared, [])) == []
+        assert list(tasks.map_ordered(late_first, shared, range(40))) == alone
+        assert list(tasks.map_ordered(late_first, shared, [])) == []
     assert alone == [7 * n for n in range(40)]
 
 
 def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
     found = []
     with jv.cluster(client), pytest.raises(InputError, match="folder 3 has no images"):
-        found.extend(tasks.in_order(refusing, None, range(100)))
+        found.extend(tasks.map_ordered(refusing, None, range(100)))
     with jv.cluster(client):
-        some = tasks.in_order(refusing, None, range(3))
+        some = tasks.map_ordered(refusing, None, range(3))
         assert next(some) == 0
         some.close()
 
@@ -94,7 +94,7 @@ def out_of_time(shared, item):
 def test_a_look_that_times_out_is_no_failure_of_the_task(client):
     assert tasks._await(client, JustInTime()) == 7  # pyright: ignore[reportArgumentType]
     with jv.cluster(client), pytest.raises(TimeoutError, match="the camera of 0"):
-        list(tasks.in_order(out_of_time, None, range(3)))
+        list(tasks.map_ordered(out_of_time, None, range(3)))
 
 
 def uneven(shared, item):
@@ -111,7 +111,7 @@ def test_short_tasks_go_in_bundles_of_which_none_is_lost(client, monkeypatch):
     monkeypatch.setattr(tasks, "BUNDLE", 0.1)
     monkeypatch.setattr(client, "submit", lambda *a, **k: sent.append(1) or submit(*a, **k))
     with jv.cluster(client), pytest.raises(InputError, match="folder 277 has no images"):
-        found.extend(tasks.in_order(uneven, 277, range(400)))
+        found.extend(tasks.map_ordered(uneven, 277, range(400)))
     assert found == list(range(277))
     assert len(sent) < 100
 
@@ -204,7 +204,7 @@ def test_without_any_worker_left_it_does_not_wait_for_ever(monkeypatch):
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
     )
     with made, distributed.Client(made) as client, jv.cluster(client):
-        some = tasks.in_order(late_first, {"factor": 1}, range(9))
+        some = tasks.map_ordered(late_first, {"factor": 1}, range(9))
         assert next(some) == 0
         made.scale(0)
         with pytest.raises(InputError, match="no worker has been there"):
@@ -217,7 +217,7 @@ def test_a_task_larger_than_a_workers_memory_is_refused_before_any_work(client, 
         jv.cluster(client),
         pytest.raises(InputError, match=r"a task takes about .* GB, and worker"),
     ):
-        list(tasks.in_order(late_first, {}, [1], memory=2 * max(limits.values())))
+        list(tasks.map_ordered(late_first, {}, [1], memory=2 * max(limits.values())))
     unlimited = SimpleNamespace(
         memory_manager=SimpleNamespace(memory_limit=None), state=SimpleNamespace(nthreads=2)
     )
@@ -355,9 +355,9 @@ def test_a_task_too_large_for_its_workers_memory_is_a_sentence(monkeypatch):
     monkeypatch.setattr(_local_workers, "MEMORY", 700e6 / system.MEMORY_LIMIT)
     sentence = r"a worker took 0.* GB, more than its share of memory, and was started again, 3"
     with tasks.workers(1):
-        assert list(tasks.in_order(greedy, 10, range(1))) == [10]
+        assert list(tasks.map_ordered(greedy, 10, range(1))) == [10]
         with pytest.raises(InputError, match=sentence):
-            list(tasks.in_order(greedy, 100_000_000, range(2)))
+            list(tasks.map_ordered(greedy, 100_000_000, range(2)))
 
 
 def slow_tile(shared, item):
@@ -375,11 +375,11 @@ def worker_processes():
 @pytest.mark.slow
 def test_killed_workers_are_replaced_and_nothing_is_lost_or_doubled():
     """200 tasks on two processes, one of which is killed at 20 random moments."""
-    alone = list(tasks.in_order(slow_tile, 3, range(200)))
+    alone = list(tasks.map_ordered(slow_tile, 3, range(200)))
     rng, found, kills = np.random.default_rng(0), [], 0
     with tasks.workers(2):
         until = time.monotonic()
-        for result in tasks.in_order(slow_tile, 3, range(200)):
+        for result in tasks.map_ordered(slow_tile, 3, range(200)):
             found.append(result)
             if kills < 20 and time.monotonic() > until:
                 rng.choice(worker_processes()).send_signal(signal.SIGKILL)

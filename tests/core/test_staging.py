@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.core._loops.fusion import fuse, searched
+from jaxvision.core._loops.fusion import fuse, run_search
 
 X, Y = jnp.linspace(0.1, 1.3, 6), jnp.linspace(2.0, -1.0, 6)
 
@@ -107,7 +107,7 @@ LEVELS = jnp.asarray([0.5, 1.5, 2.5])
 
 
 def found(levels, x, offset):
-    return searched(first_above, levels, x, offset=offset)
+    return run_search(first_above, levels, x, offset=offset)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from jaxvision import effects
 from jaxvision.effects.bounces import Onward, bounce_rows
 from jaxvision.effects.cells import eye_of
 from jaxvision.effects.radiance import scene_stage
-from jaxvision.effects.spectra import band_rows, with_bands
+from jaxvision.effects.spectra import band_rows, select_bands
 from jaxvision.effects.stages import Draft, Ends
 from jaxvision.effects.sums import sums_of
 
@@ -84,7 +84,7 @@ def alone(seed):
         left, expand = only(scene, draft, row), None
         if row.ladder == "bands":
             kept, expand = row.drop(draft).bands
-            left = with_bands(scene, kept, len(expand))
+            left = select_bands(scene, kept, len(expand))
         found.append((row, np.abs(drawn(left, view, expand) - full).max(), full.max()))
     return found
 

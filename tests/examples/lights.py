@@ -69,7 +69,7 @@ EXAMPLES = {
     "lights.incidence.irradiance": ((RECTANGLE, POINT, N), {"rule": jv.MonteCarlo(KEY, 2)}),
     "lights.incidence.nearest_seen": (([RECTANGLE, SKY], RAY), {}),
     "lights.incidence.radiance_from": ((SKY, POINT, UP), {}),
-    "lights.incidence.seen": ((FIELD, RAY), {}),
+    "lights.incidence.radiance_along": ((FIELD, RAY), {}),
     "lights.adaptive.adaptive_irradiance": (
         (RECTANGLE, jnp.stack([POINT, 2 * POINT]), N),
         {"tolerance": 1e-3},

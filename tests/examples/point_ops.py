@@ -28,5 +28,5 @@ EXAMPLES = {
     "point_ops.tone_mapping.scaled_to_key": ((X[..., 0],), {}),
     "point_ops.tone_mapping.filmic": ((X,), {}),
     "point_ops.tone_mapping.log_curve": ((X, TWO), {}),
-    "point_ops.tone_mapping.with_luminance": ((X, X[..., 0], Y[..., 0]), {}),
+    "point_ops.tone_mapping.set_luminance": ((X, X[..., 0], Y[..., 0]), {}),
 }

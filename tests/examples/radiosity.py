@@ -53,7 +53,7 @@ EXAMPLES = {
     f"{ROOM}.patches.patches_at": ((SCENE,), {"plan": PLAN, "splits": (1, 2)}),
     f"{ROOM}.exchange.form_factor_table": ((SCENE,), {"plan": PLAN}),
     f"{ROOM}.exchange.exchanged": ((SCENE,), {"plan": PLAN, "sent": SENT}),
-    f"{ROOM}.patches.by_patch": ((SENT, ELEMENTS), {"plan": PLAN}),
+    f"{ROOM}.patches.patch_means": ((SENT, ELEMENTS), {"plan": PLAN}),
     f"{ROOM}.exchange.closure_error": ((TABLE,), {}),
     f"{ROOM}.exchange.reciprocity_error": ((TABLE / 100, ELEMENTS.area), {}),
     f"{ROOM}.solve.solve_radiosity": ((TABLE, ALBEDO, SENT), {}),

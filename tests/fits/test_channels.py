@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting import Candidate, Clustered, Gaussian, Parameter, Problem, Tied, by_channel, fit
+from fitting import Candidate, Clustered, Gaussian, Parameter, Problem, Tied, fit, stack_channels
 from jaxvision.errors import InputError
 
 TIME = np.linspace(0.0, 2.0, 40)
@@ -27,7 +27,7 @@ def errors(found):
 
 @pytest.mark.slow
 def test_channels_that_share_nothing_are_those_fitted_by_themselves():
-    found = fit(by_channel(ONE, DATA), starts=4)
+    found = fit(stack_channels(ONE, DATA), starts=4)
     for c in range(3):
         alone = fit(ONE.with_data(DATA[:, c]), starts=4)
         sd = errors(alone)
@@ -38,7 +38,7 @@ def test_channels_that_share_nothing_are_those_fitted_by_themselves():
 
 @pytest.mark.slow
 def test_channels_that_share_a_rate_are_the_problem_written_out():
-    found = fit(by_channel(ONE, DATA, shared=["rate"]), starts=4)
+    found = fit(stack_channels(ONE, DATA, shared=["rate"]), starts=4)
     free = {"height": Parameter(shape=(3,), lower=0, start=1.0), "rate": FREE["rate"]}
 
     def written_out(height, rate, inputs):
@@ -65,7 +65,7 @@ def test_inputs_and_starts_may_differ_between_channels():
         "sd": Parameter(transform="log", lower=1e-3, upper=1),
     }
     one = Problem(free, decay, Gaussian(sd="sd"), np.zeros(40), inputs=TIME, start=begin)
-    found = fit(by_channel(one, data, shared=["rate", "sd"], inputs=times), starts=4)
+    found = fit(stack_channels(one, data, shared=["rate", "sd"], inputs=times), starts=4)
     assert abs(found.values["rate"] - 1.5) < 0.05
     missed = data - found.values["height"] * np.exp(-found.values["rate"] * times)
     np.testing.assert_allclose(found.values["sd"], missed.std(), rtol=0.02)
@@ -82,7 +82,7 @@ def test_groups_are_those_of_every_channel_and_terms_stay_for_all():
         np.zeros(40),
         inputs=TIME,
     )
-    several = by_channel(one, DATA, shared=["rate"])
+    several = stack_channels(one, DATA, shared=["rate"])
     assert several.likelihood.labels.shape == (40, 3)
     found = fit(several, starts=4)
     assert [choice.kept for choice in found.choices] == [False]
@@ -92,10 +92,10 @@ def test_groups_are_those_of_every_channel_and_terms_stay_for_all():
 @pytest.mark.parametrize(
     ("make", "expected"),
     [
-        (lambda: by_channel(ONE, DATA[:5]), r"data of shape \(5, 3\) do not fit"),
-        (lambda: by_channel(ONE, DATA, shared=["ratio"]), "shared names 'ratio'"),
+        (lambda: stack_channels(ONE, DATA[:5]), r"data of shape \(5, 3\) do not fit"),
+        (lambda: stack_channels(ONE, DATA, shared=["ratio"]), "shared names 'ratio'"),
         (
-            lambda: by_channel(
+            lambda: stack_channels(
                 Problem(
                     FREE | {"sd": Parameter(lower=0.001, upper=1)},
                     decay,
@@ -107,9 +107,12 @@ def test_groups_are_those_of_every_channel_and_terms_stay_for_all():
             ),
             "the likelihood names sd: add it to shared",
         ),
-        (lambda: by_channel(ONE, DATA, inputs=TIME[:3]), r"an array of shape \(3,\) is neither"),
         (
-            lambda: by_channel(
+            lambda: stack_channels(ONE, DATA, inputs=TIME[:3]),
+            r"an array of shape \(3,\) is neither",
+        ),
+        (
+            lambda: stack_channels(
                 Problem(
                     FREE | {"other": Tied(lambda values: values["rate"])},
                     decay,

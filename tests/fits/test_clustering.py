@@ -92,8 +92,8 @@ def test_one_cluster_is_not_judged():
         np.random.default_rng(0), lights=1, pixels=100, shared_by_light=0.5, shared_by_pixel=0.0
     )
     found = cluster_robust(*data[:4])
-    assert np.isnan(found.by_light)
-    assert not np.isnan(found.by_pixel)
+    assert np.isnan(found.light_design_effect)
+    assert not np.isnan(found.pixel_design_effect)
 
 
 def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
@@ -114,7 +114,7 @@ def test_one_cluster_is_not_judged_by_a_prior():
         slopes=np.ones((1, 4)),
         prior=0.001 * information,
     )
-    assert np.isnan(found.by_light)
+    assert np.isnan(found.light_design_effect)
     np.testing.assert_allclose(found.covariance, 1 / (1.001 * information))
 
 
@@ -162,7 +162,7 @@ def test_clusters_of_two_kinds_add_up_less_what_both_count():
 
     each = (x * e[:, None]).T @ (x * e[:, None])
     found = cluster_robust((x * e[:, None]).T, x.T @ x, light, pixel, slopes=x.T)
-    assert found.by_pixel > 2
+    assert found.pixel_design_effect > 2
     expected = bread @ (clustered(light) + clustered(pixel) - each) @ bread
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
 

@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 
 from fitting.inference.convergence import (
     autocorrelation_times,
+    correct_bias,
     effective_draws,
     split_r_hat,
-    without_bias,
 )
 
 
@@ -38,7 +38,7 @@ def test_a_short_chain_underestimates_its_autocorrelation_time_by_what_is_known(
     chain = autoregression(0.95, steps, 64, 20)
     found = np.mean(autocorrelation_times(chain))
     np.testing.assert_allclose(found, tau * length / (length + 10), rtol=0.06)
-    np.testing.assert_allclose(without_bias(found, steps), tau, rtol=0.2)
+    np.testing.assert_allclose(correct_bias(found, steps), tau, rtol=0.2)
 
 
 def test_a_walker_that_never_moved_has_no_autocorrelation_time():

@@ -6,7 +6,7 @@ import pytest
 
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, SensorNoise, called_for, fit, influence
-from fitting.fits.depicted import without_effects
+from fitting.fits.depicted import removable_effects
 from jaxvision.errors import InputError
 from jaxvision.optics import sensor_irradiance
 
@@ -71,7 +71,7 @@ def test_no_refit_moves_further_than_its_bound():
         values = {name: found.values[name] for name in FREE}
         (name,) = (n.name for n in whole.space if n.name.startswith(target))
         promised = influence(found, name)
-        _, left = without_effects(whole)
+        _, left = removable_effects(whole)
         for effect in promised.effects:
             again = fit(left((effect.effect,)), start=values)
             moved = (again.values[target] - found.values[target]).item() / promised.sd

@@ -19,7 +19,7 @@ from fitting import (
     fit,
 )
 from fitting.checks.counts import GAINS, efficiency
-from fitting.inference.likelihoods import Likelihood, with_values
+from fitting.inference.likelihoods import Likelihood, substitute_values
 from fitting.inference.misfit import judge
 from fitting.inference.problem import likelihood_at
 from fitting.inference.tails import log_ndtr, log_student
@@ -125,7 +125,7 @@ def test_residuals_of_its_own_draws_are_standard_normal(likelihood):
 
 
 def test_a_name_in_place_of_a_number():
-    named = with_values(StudentT("noise", 4.0), {"noise": jnp.asarray(SD)}.get)
+    named = substitute_values(StudentT("noise", 4.0), {"noise": jnp.asarray(SD)}.get)
     np.testing.assert_allclose(
         named.log_density(PREDICTION, DATA), StudentT(SD, 4.0).log_density(PREDICTION, DATA)
     )

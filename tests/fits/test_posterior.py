@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from fitting.inference import blocks
-from fitting.inference.emcee_run import Emcee, for_group
+from fitting.inference.emcee_run import Emcee, group_options
 from fitting.inference.estimates import gaussian_estimate
 from fitting.inference.importance import laplace_where_it_holds
 from fitting.inference.parameters import Parameter
@@ -271,8 +271,8 @@ def test_unusable_options_are_refused(options, expected):
 
 def test_each_group_has_a_checkpoint_of_its_own():
     options = Emcee(checkpoint=Path("c"))
-    assert for_group(options, "green 1").checkpoint == Path("c/green_1")
-    assert for_group(None, "red") is None
+    assert group_options(options, "green 1").checkpoint == Path("c/green_1")
+    assert group_options(None, "red") is None
 
 
 def test_a_posterior_without_end_is_a_sentence():

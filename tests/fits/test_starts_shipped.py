@@ -13,7 +13,7 @@ from fitting.joint.calibration import calibrate as calibrate_joint
 from fitting.joint.fit import is_searched_shape
 from fitting.joint.model import cost as joint_cost
 from fitting.noise.calibration import calibrate as calibrate_noise
-from fitting.noise.statement import restated
+from fitting.noise.statement import replace_parameters
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.optimum import optimum
 from fitting.reflectance.from_images.samples import View, cost_and_information, predict
@@ -72,7 +72,7 @@ def test_noise(factor):
     """All positive numbers within a factor of those found, others within as many deviations."""
     chosen = calibrate_noise(noise.measured(noise.CASES["clean"], 0)).chosen
     starts = about(chosen.optimum.vector, chosen.optimum.information, chosen.space, factor)
-    problem = restated(chosen.problem, chosen.space)
+    problem = replace_parameters(chosen.problem, chosen.space)
 
     def search(start):
         found = minimise(negative_log_density, start, problem)

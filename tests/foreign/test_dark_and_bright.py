@@ -131,7 +131,7 @@ def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
     light = (matt * body + 0.3 * gloss * (gloss > 0.7)).astype(np.float32) * np.float32(unit)
     found = jv.separate(light, np.float32(unit) * np.ones(3, np.float32))
     np.testing.assert_allclose(found.body_colour, body / np.linalg.norm(body), atol=0.005)
-    halved = jv.point_ops.with_luminance(light, light[..., 0], light[..., 0] / 2)
+    halved = jv.point_ops.set_luminance(light, light[..., 0], light[..., 0] / 2)
     np.testing.assert_allclose(halved, light / 2, rtol=1e-6)
 
 

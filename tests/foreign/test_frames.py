@@ -124,7 +124,7 @@ def test_of_five_frames_the_others_of_the_level_stay(image, words):
 
 @pytest.mark.slow
 def test_gain_without_the_frame_is_the_camera_s():
-    found = calibrate(read(put(FLATS, l6_1=WHITE))).shown["system_gain"]
+    found = calibrate(read(put(FLATS, l6_1=WHITE))).estimates["system_gain"]
     assert abs(found.value - GAIN) < 3 * found.standard_error
     assert found.standard_error < 0.004
 
@@ -196,7 +196,7 @@ def test_a_bias_of_no_exposure_and_stray_light_are_read():
     measured = from_frames(stray, kept, lit, None, **given)
     assert measured.bright.left_out == ()
     found = calibrate(measured)
-    gain = found.shown["system_gain"]
+    gain = found.estimates["system_gain"]
     assert abs(gain.value - GAIN) < 3 * gain.standard_error
 
 

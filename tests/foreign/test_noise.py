@@ -318,13 +318,13 @@ def test_the_gain_of_two_amplifiers_covers_both_and_each_tap_has_its_own():
         offset=np.where(COLUMN % 2, 80.0, 64.0),
     )
     together = noise.calibrate(noise.from_frames(*frames, camera=noise.Camera(bits=14)))
-    low, high = together.shown["system_gain"].interval_95
+    low, high = together.estimates["system_gain"].interval_95
     assert low < 0.25 < 0.31 < high
     taps = noise.Camera(bits=14, taps=(1, 2))
     for channel, gain, black in (("tap 0,0", 0.25, 64.0), ("tap 0,1", 0.31, 80.0)):
         own = noise.calibrate(noise.from_frames(*frames, camera=taps, channel=channel))
         assert own.periodic == ()
-        assert_true(own.shown, system_gain=gain, black_level=black, read_noise=4.0)
+        assert_true(own.estimates, system_gain=gain, black_level=black, read_noise=4.0)
 
 
 @pytest.mark.slow

@@ -393,7 +393,7 @@ def ageing(rng, fall, *, flicker=0.0):
 @pytest.mark.slow
 def test_a_lamp_that_fades_over_the_series_is_no_curved_response():
     found = noise.calibrate(ageing(np.random.default_rng(20), 0.08))
-    gain = found.shown["system_gain"]
+    gain = found.estimates["system_gain"]
     assert abs(gain.value - K) < 3 * gain.standard_error < 0.03 * K
     assert not any("not linear" in one for one in section(found).findings)
 
@@ -508,7 +508,7 @@ def test_times_of_files_tell_a_drift_from_a_curve(lamp):
     change = float(said.split("rises by ")[1].split()[0])
     assert abs(change - 900 * lamp / (1 + 4.5 * lamp)) < 0.25
     assert not told(found, "compression")
-    low, high = found.shown["quantum_efficiency"].interval_95
+    low, high = found.estimates["quantum_efficiency"].interval_95
     assert low < 60 < high
 
 
@@ -519,7 +519,7 @@ def test_times_of_files_tell_a_curve_from_a_drift(bend):
     found = under_lamp(np.random.default_rng(0), np.ones(10), bend=bend, taken=60 * ORDER)
     assert not told(found, "drift or curve")
     assert not told(found, "drift of the light")
-    assert found.shown["linearity_error_min"].value is not None
+    assert found.estimates["linearity_error_min"].value is not None
     assert told(found, "compression")
 
 
@@ -546,9 +546,9 @@ def test_a_lamp_that_drifts_from_level_to_level_is_no_curved_response(lamp, key)
     """The lamp gives what is stated at the first level, and more by a share at each further one."""
     found = under_lamp(np.random.default_rng(1), 1 + lamp * np.arange(10))
     for name, truth in (("system_gain", K), ("quantum_efficiency", 60.0)):
-        low, high = found.shown[name].interval_95
-        assert low < truth < high, found.shown[name]
-    linearity = found.shown.get("linearity_error_max")
+        low, high = found.estimates[name].interval_95
+        assert low < truth < high, found.estimates[name]
+    linearity = found.estimates.get("linearity_error_max")
     assert (linearity is None) == (key == "drift of the light")
     if linearity is not None:
         assert linearity.interval_95[0] < 0.01  # %; an extreme of deviations is at least 0
@@ -570,7 +570,7 @@ def test_a_curve_that_may_be_a_drift_has_a_linearity_error_under_a_steady_lamp(b
     assert told(found, "drift or curve")
     np.testing.assert_allclose(steady_linearity(found), by_hand, rtol=0.06)
     for name, truth in zip(("linearity_error_min", "linearity_error_max"), by_hand, strict=True):
-        low, high = found.shown[name].interval_95
+        low, high = found.estimates[name].interval_95
         assert low < truth < high
 
 
@@ -579,7 +579,7 @@ def test_a_curved_response_is_no_lamp_that_drifts():
     found = under_lamp(np.random.default_rng(0), np.ones(10), bend=0.1)
     assert not told(found, "drift of the light")
     assert not told(found, "drift or curve")
-    efficiency = found.shown["quantum_efficiency"]
+    efficiency = found.estimates["quantum_efficiency"]
     assert abs(efficiency.value - 60) < 3 * efficiency.standard_error < 1.2
 
 
@@ -588,11 +588,11 @@ def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent
     wander = 1 + 0.01 * np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, -1.0, -2.0, -2.0, -1.0])
     found = under_lamp(np.random.default_rng(0), wander)
     assert told(found, "lights that drift") or told(found, "drift of the light")
-    assert found.shown["quantum_efficiency"].standard_error > 0.6  # 1 % of 60 %
+    assert found.estimates["quantum_efficiency"].standard_error > 0.6  # 1 % of 60 %
     mixed = wander[[2, 7, 1, 6, 3, 8, 0, 9, 4, 5]]
     found = under_lamp(np.random.default_rng(0), mixed)
     assert not told(found, "lights that drift")
-    assert found.shown["quantum_efficiency"].standard_error < 0.6
+    assert found.estimates["quantum_efficiency"].standard_error < 0.6
 
 
 @pytest.mark.parametrize("place", [0, 3, 7])
@@ -636,7 +636,7 @@ def test_dim_flats_of_12_bits_are_calibrated():
     found = noise.calibrate(
         noise.from_frames(flats, darks, list(light / 200), list(light / 0.5), camera=camera)
     )
-    gain = found.shown["system_gain"]
+    gain = found.estimates["system_gain"]
     assert abs(gain.value - K) < 3 * gain.standard_error < 0.06 * K
     (said,) = told(found, "dim flats")
     assert "DN of 4095" in said

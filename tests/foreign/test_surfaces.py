@@ -20,8 +20,8 @@ from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import section
 from fitting.reflectance.from_images import findings as of_images
 from fitting.reflectance.from_images.section import section as images_section
-from fitting.reflectance.from_images.shading_check import without_strangers
-from fitting.report.sentences import said
+from fitting.reflectance.from_images.shading_check import drop_strangers
+from fitting.report.sentences import evaluate_findings
 from fitting.rig import Camera, Light, SphereGeometry
 from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.errors import InputError
@@ -196,7 +196,7 @@ def with_darks(black):
 
 def test_darks_brighter_than_what_no_light_reaches_are_named():
     row = [finding for finding in GIVEN if finding.key == "darker than darks"]
-    (told,) = said(row, SimpleNamespace(observation=with_darks(70.0)))
+    (told,) = evaluate_findings(row, SimpleNamespace(observation=with_darks(70.0)))
     assert "10.0 DN less than the darks (70.0 DN)" in told
     assert not darker_than_darks(with_darks(60.0))
     assert not darker_than_darks(with_darks(50.0))  # stray light can be there
@@ -272,7 +272,7 @@ def test_images_that_do_not_belong_are_named_and_left_out(spoil, reasons):
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     spoil(dn)
-    left = without_strangers(replace(exact, dn=dn))
+    left = drop_strangers(replace(exact, dn=dn))
     gone = [name for name in exact.files if name not in left.files]
     assert gone == [exact.files[i] for i in reasons]
     for sentence, (i, why) in zip(left.findings, reasons.items(), strict=False):
@@ -288,10 +288,10 @@ def test_dead_and_hot_pixels_are_named_and_left_out(level):
     """Of hot ones in 1 % of the pixels the diffuse term was .423 (.407 to .439) for .4."""
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     facing = np.flatnonzero(exact.cosine.max(axis=0) > 0.9)[::20]
-    assert without_strangers(exact).dn.shape == exact.dn.shape
+    assert drop_strangers(exact).dn.shape == exact.dn.shape
     dn = exact.dn.copy()
     dn[..., facing] = level
-    left = without_strangers(replace(exact, dn=dn))
+    left = drop_strangers(replace(exact, dn=dn))
     assert left.findings[0].startswith(f"{len(facing)} pixels of the object read the same under")
     np.testing.assert_array_equal(left.dn, np.delete(exact.dn, facing, axis=2))
     np.testing.assert_array_equal(left.normals, np.delete(exact.normals, facing, axis=0))
@@ -301,7 +301,7 @@ def test_where_most_images_do_not_belong_none_is_left_out():
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     dn[:, :8] = 64
-    assert without_strangers(replace(exact, dn=dn)).files == exact.files
+    assert drop_strangers(replace(exact, dn=dn)).files == exact.files
 
 
 @pytest.mark.slow

@@ -24,10 +24,10 @@ from jaxvision.point_ops import (
     lookup_codes,
     reinhard,
     scaled_to_key,
+    set_luminance,
     srgb_decode,
     srgb_encode,
     vignette,
-    with_luminance,
 )
 
 RNG = np.random.default_rng(2)
@@ -287,11 +287,11 @@ def test_log_curve_ends():
 def test_a_curve_of_the_luminance_keeps_the_chromaticity():
     image = jnp.asarray(RNG.uniform(0.1, 5, size=(4, 4, 3)))
     y = image.mean(axis=-1)
-    mapped = with_luminance(image, y, reinhard(y))
+    mapped = set_luminance(image, y, reinhard(y))
     np.testing.assert_allclose(mapped.mean(axis=-1), reinhard(y), rtol=1e-14)
     shares = [x / x.sum(axis=-1, keepdims=True) for x in (mapped, image)]
     np.testing.assert_allclose(*shares, rtol=1e-14)
-    assert (with_luminance(jnp.zeros((1, 3)), jnp.zeros(1), jnp.ones(1)) == 0).all()
+    assert (set_luminance(jnp.zeros((1, 3)), jnp.zeros(1), jnp.ones(1)) == 0).all()
 
 
 # ------------------------------------------------ fast forms, edges, types
@@ -332,7 +332,7 @@ CURVES = {
     )[..., 0],
     "gain": lambda x: gain_bias(x, 1.5, 0.1),
     "blend": lambda x: blend(x, jnp.ones_like(x), 0.3),
-    "of the luminance": lambda x: with_luminance(x[..., None], x, jnp.ones_like(x))[..., 0],
+    "of the luminance": lambda x: set_luminance(x[..., None], x, jnp.ones_like(x))[..., 0],
     "exposure": lambda x: exposure(x, 1.5),
     "contrast": lambda x: contrast_brightness(x, 2.0, 0.1),
 }
@@ -371,7 +371,7 @@ def test_codes_are_no_colours(as_for_users):
         lambda x: vignette(x, FALLOFF),
         lambda x: correct_vignetting(x, FALLOFF),
         lambda x: graded_filter(x, 0.6, 0.0, 0.0, 0.8),
-        lambda x: with_luminance(x, x[..., 0], x[..., 0]),
+        lambda x: set_luminance(x, x[..., 0], x[..., 0]),
         lambda x: blend(x, x, 0.5),
         lambda x: cross_dissolve(jnp.stack([x, x]), jnp.stack([x, x])),
         scaled_to_key,

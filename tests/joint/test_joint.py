@@ -38,9 +38,9 @@ from fitting.joint.misfit import (
 from fitting.joint.model import Cells, JointData, log_likelihood, parameters, scatter_scales
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
-from fitting.reflectance.from_images.read import with_covariance
+from fitting.reflectance.from_images.read import set_direction_covariance
 from fitting.reflectance.from_images.signal import Form, Geometry
-from fitting.report.sentences import said
+from fitting.report.sentences import evaluate_findings
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
@@ -601,7 +601,7 @@ def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
     if together:
         count = len(measurement.files)
         shared = (1 + np.eye(count))[:, None, :, None] * np.eye(3)[:, None] / 2
-        measurement = with_covariance(measurement, lab.sphere.direction_sd**2 * shared)
+        measurement = set_direction_covariance(measurement, lab.sphere.direction_sd**2 * shared)
     fit = fit_turned(measurement, 0, Form("phong"))
     assert fit.data.cells.geometry.about is not None
     vector = jnp.asarray(fit.vector)
@@ -689,7 +689,7 @@ def test_images_that_disagree_are_checked_by_their_halves(deviations, told):
     of_fit = {"posteriors": {"grey": ()}, "robust": {"grey": robust}, "halves": halves}
     rows = [row for row in OF_CHANNEL if "halves" in row.key]
     fit = SimpleNamespace(channel="grey", information=np.eye(3))
-    (sentence,) = said(rows, (SimpleNamespace(**of_fit), fit))
+    (sentence,) = evaluate_findings(rows, (SimpleNamespace(**of_fit), fit))
     assert told in sentence
 
 
@@ -699,7 +699,7 @@ def test_scores_that_are_larger_by_less_than_a_word_shows_are_not_said(effect):
     of_fit = {"posteriors": {"grey": ()}, "robust": {"grey": robust}, "halves": {}}
     rows = [row for row in OF_CHANNEL if row.key == "images disagree"]
     fit = SimpleNamespace(channel="grey", information=np.eye(3))
-    told = said(rows, (SimpleNamespace(**of_fit), fit))
+    told = evaluate_findings(rows, (SimpleNamespace(**of_fit), fit))
     assert len(told) == (effect > 1.1)
 
 

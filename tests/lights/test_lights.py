@@ -119,7 +119,7 @@ def test_any_number_of_lamps_of_one_kind_is_one_program():
     many = [*lamps(20), jv.environment_map(np.full((2, 4, 1), 0.5))]
     ways = rng.uniform(-0.3, 0.3, (12, 3)) + np.array([0.0, 0, 1])
     rays = [jv.Ray(np.zeros(3), way / np.linalg.norm(way)) for way in ways]
-    nearest, alone = jax.jit(jv.lights.nearest_seen), jax.jit(jv.lights.seen)
+    nearest, alone = jax.jit(jv.lights.nearest_seen), jax.jit(jv.lights.radiance_along)
     met = 0
     for ray in rays:
         each = [alone(light, ray) for light in many]

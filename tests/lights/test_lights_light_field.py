@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
-from jaxvision.lights import incident_samples, seen
+from jaxvision.lights import incident_samples, radiance_along
 from jaxvision.lights.light_field import light_field_radiance, light_field_ray, refocus
 from jaxvision.rendering import render_light_field
 
@@ -34,7 +34,7 @@ def test_between_samples_it_is_linear_in_all_four():
         ray = light_field_ray(APERTURE, FOCAL, jnp.asarray(place))
         before = jv.Ray(ray.origin - 3.0 * jnp.ones(()) * ray.direction, ray.direction)
         np.testing.assert_allclose(light_field_radiance(field, before), [truth(*place)], rtol=1e-12)
-        np.testing.assert_allclose(seen(field, before).distance, 3.0, rtol=1e-12)
+        np.testing.assert_allclose(radiance_along(field, before).distance, 3.0, rtol=1e-12)
 
 
 MISSES = {

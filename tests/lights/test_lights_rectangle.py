@@ -14,8 +14,8 @@ from jaxvision.lights import (
     incident,
     incident_samples,
     irradiance,
+    radiance_along,
     radiance_from,
-    seen,
 )
 from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.orders import ORDERS, order_for
@@ -192,11 +192,11 @@ def test_density_is_that_of_the_samples(height):
 
 def test_a_ray_sees_the_front_only():
     up, down = jnp.asarray([0.0, 0, 1]), jnp.asarray([0.0, 0, -1])
-    front = seen(LAMP, jv.Ray(below(2.0, 0.4), up))
+    front = radiance_along(LAMP, jv.Ray(below(2.0, 0.4), up))
     assert front.distance == 2
     np.testing.assert_array_equal(front.radiance, [1, 2])
     for ray in (jv.Ray(-below(2.0), down), jv.Ray(below(2.0, 0.6), up), jv.Ray(below(2.0), down)):
-        miss = seen(LAMP, ray)
+        miss = radiance_along(LAMP, ray)
         assert jnp.isinf(miss.distance)
         assert (miss.radiance == 0).all()
 

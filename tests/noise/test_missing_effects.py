@@ -122,7 +122,7 @@ def test_what_neighbours_share_is_found_beside_other_noise(own, term):
         truth = plain_sensor(**{name: PRESENT[name] for name in own})
         found = calibrate(measured(truth, 5018))
         assert term in {parameter.name for parameter in found.chosen.space}
-        gain = found.shown["system_gain"]
+        gain = found.estimates["system_gain"]
         off, error = gain.value - 0.25, gain.standard_error
         assert abs(off) < 3 * error < 0.025
         later = predict(found, measured(truth, 9018)).judged.agreement

@@ -30,7 +30,13 @@ from fitting.noise.pattern import pattern_variance
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
-from fitting.noise.statement import base_space, likelihood_sheet, noise_data, start_vector, stated
+from fitting.noise.statement import (
+    base_space,
+    likelihood_sheet,
+    make_problem,
+    noise_data,
+    start_vector,
+)
 from fitting.noise.window import needed_window, usual_moments_error
 from jaxvision.errors import InputError
 
@@ -66,7 +72,7 @@ def both_methods(measurements):
     within, usable = ranges(measurements[0]), linear_levels(measurements[0])
     space = base_space(measurements[0], within)
     window, _ = needed_window(measurements[0], usable)
-    template = stated(space, *noise_data(measurements[0], usable, window=window))
+    template = make_problem(space, *noise_data(measurements[0], usable, window=window))
 
     def one(measurement):
         standard = evaluate(measurement, within)
@@ -192,7 +198,7 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
     window, _ = needed_window(measured[0], usable)
     assert window is not None
     space = base_space(measured[0], within)
-    template = stated(space, *noise_data(measured[0], usable, window=window))
+    template = make_problem(space, *noise_data(measured[0], usable, window=window))
 
     def fit(measurement):
         standard = sheet(statistics(measurement, None), measurement, within)
@@ -241,7 +247,7 @@ def test_an_ordinary_camera_traces_no_exact_moments_and_no_effect():
     measured = simulate(CameraTruth())
     usable = linear_levels(measured)
     assert needed_window(measured, usable)[0] is None
-    problem = stated(base_space(measured, ranges(measured)), *noise_data(measured, usable))
+    problem = make_problem(base_space(measured, ranges(measured)), *noise_data(measured, usable))
     standard = sheet(statistics(measured, None), measured, ranges(measured))
     traced = jax.make_jaxpr(negative_log_density)(start_vector(problem, standard), problem)
     plain = {eqn.primitive.name for eqn in _equations(traced)}

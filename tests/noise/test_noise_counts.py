@@ -72,7 +72,7 @@ def test_codes_are_counted_only_where_they_tell_more_than_moments():
 def test_a_camera_below_an_electron_is_calibrated_by_its_histograms():
     """DSNU of ten read noises. The standard knows the gain to 4 % here, the histogram to .1 %."""
     found = calibrate(measured(dsnu=3.0))
-    gain, read = found.shown["system_gain"], found.shown["read_noise"]
+    gain, read = found.estimates["system_gain"], found.estimates["read_noise"]
     assert gain.standard_error < 0.002 * GAIN
     assert float(found.standard.errors["system_gain"]) > 0.02 * GAIN
     assert abs(gain.value - GAIN) < 4 * gain.standard_error

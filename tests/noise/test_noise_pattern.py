@@ -178,7 +178,7 @@ def test_the_gain_of_flats_that_flicker_is_that_of_their_pixels():
     told = findings(calibration)
     assert told[0].startswith("The rows of a flat share noise of ")
     assert calibration.chosen is calibration.linear
-    gain = calibration.shown["system_gain"]
+    gain = calibration.estimates["system_gain"]
     assert abs(gain.value - 0.25) < 3 * gain.standard_error
     said = " ".join(told[1:])
     assert "a dark frame share noise" in said

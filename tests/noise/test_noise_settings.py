@@ -43,12 +43,12 @@ from fitting.noise.across_settings.setting import (
     estimates_from_darks,
     reduce_by_setting,
 )
-from fitting.noise.across_settings.statement import BOLTZMANN_EV, fitted, proportional_gain
+from fitting.noise.across_settings.statement import BOLTZMANN_EV, fit_settings, proportional_gain
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.model import NoiseData
 from fitting.noise.quantities import DARK_CURRENT, OFFSET, READ_NOISE, RESPONSIVITY, SYSTEM_GAIN
 from fitting.noise.regressions import Part
-from fitting.noise.statement import stated
+from fitting.noise.statement import make_problem
 from fitting.rig import Camera, load_rig
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_sensor
@@ -129,7 +129,7 @@ def fit_by_scipy(told, efficiencies=1):
 @pytest.mark.slow
 def test_the_fit_is_that_of_scipy():
     told = estimates_of_settings(1)
-    ours, theirs = fitted(SETTINGS, told), fit_by_scipy(told)
+    ours, theirs = fit_settings(SETTINGS, told), fit_by_scipy(told)
     assert not ours.freed
     assert ours.fit.optimum.stationary
     errors = np.sqrt(np.diagonal(ours.covariance))
@@ -146,7 +146,7 @@ def test_a_claim_is_judged_by_what_giving_it_up_saves():
     """The score test gives the fall of chi-square between two fits by scipy, to first order."""
     told = estimates_of_settings(2)
     saved = 2 * (fit_by_scipy(told).cost - fit_by_scipy(told, 4).cost)
-    claims = {(c.quantity, c.axis): c for c in fitted(SETTINGS, told).claims}
+    claims = {(c.quantity, c.axis): c for c in fit_settings(SETTINGS, told).claims}
     assert len(claims) == 7
     found = claims["quantum_efficiency", "gain"]
     assert found.degrees == 3
@@ -173,7 +173,7 @@ def settings_like(**given):
     ],
 )
 def test_what_is_not_shared_is_found_and_given_up(planted, found):
-    fit = fitted(SETTINGS, estimates_of_settings(3, **planted))
+    fit = fit_settings(SETTINGS, estimates_of_settings(3, **planted))
     assert fit.freed == {found}
     assert fit.claims[0].p_value < 1e-3
     assert all(claim.holds for claim in fit.claims[1:])
@@ -218,7 +218,9 @@ def as_calibration(fit, **pooled):
 def camera():
     well = Pooled((0, 1), 25_000.0, 500.0, 0.5)
     prnu = Pooled((0, 1), 0.008**2, 1e-6, 0.5, parts=(Part(0.008**2, 399.0),))
-    return as_calibration(fitted(SETTINGS, estimates_of_settings(4)), full_well=well, prnu=prnu)
+    return as_calibration(
+        fit_settings(SETTINGS, estimates_of_settings(4)), full_well=well, prnu=prnu
+    )
 
 
 def test_the_report_says_and_draws_it(camera):
@@ -253,19 +255,19 @@ def test_the_report_says_and_draws_it(camera):
 @pytest.mark.slow
 def test_what_fails_is_said(camera):
     told = estimates_of_settings(3, efficiency=1 + 0.06 * settings_like(gain=800.0))
-    made = section(as_calibration(fitted(SETTINGS, told)))
+    made = section(as_calibration(fit_settings(SETTINGS, told)))
     assert "The quantum efficiency is not the same at every gain (ISO 800: +" in made.findings[0]
     assert {one.group for one in made.estimates if one.name == "quantum_efficiency"} == {
         f"ISO {gain:g}" for gain in GAINS
     }
     told = estimates_of_settings(5, efficiency=1.7)
-    made = section(as_calibration(fitted(SETTINGS, told)))
+    made = section(as_calibration(fit_settings(SETTINGS, told)))
     assert "above 100 %" in made.findings[0]
     assert not made.records
     told = estimates_of_settings(
         6, gain=1 + 0.2 * settings_like(gain=400.0), dark=np.full(12, -40.0)
     )
-    calibration = as_calibration(fitted(SETTINGS, told))
+    calibration = as_calibration(fit_settings(SETTINGS, told))
     found = " ".join(section(calibration).findings)
     assert "not proportional to the stated gain (p < " in found
     assert "differs from the other settings at ISO 400 by +" in found
@@ -305,7 +307,7 @@ def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(c
 def test_gains_that_were_exchanged_are_off_by_their_ratio():
     """Two of four: the other two agree, and each is compared with those alone."""
     exchanged = 1 + settings_like(gain=200.0) - settings_like(gain=400.0) / 2
-    calibration = as_calibration(fitted(SETTINGS, estimates_of_settings(8, gain=exchanged)))
+    calibration = as_calibration(fit_settings(SETTINGS, estimates_of_settings(8, gain=exchanged)))
     _, _, own = proportional_gain(calibration.fit)
     assert {one.label for one in own} == {"ISO 200", "ISO 400"}
     for one in own:
@@ -317,7 +319,7 @@ def test_gains_that_were_exchanged_are_off_by_their_ratio():
 def test_a_law_of_read_noise_that_fails_accuses_no_other():
     """p is 0 to all digits for several claims; the one that saves the most is given up."""
     read = np.where(ISO < 400, 6.0, 0.5)
-    found = fitted(SETTINGS, estimates_of_settings(9, read_noise=read))
+    found = fit_settings(SETTINGS, estimates_of_settings(9, read_noise=read))
     assert found.freed == {("read_noise", "gain")}
 
 
@@ -640,7 +642,7 @@ def simulated(cameras):
         rows[-1] += [means, variances]
     stacked = (np.concatenate(column) for column in zip(*rows, strict=True))
     start, light, mean, variance = map(jnp.asarray, stacked)
-    template = stated(SPACE, *levels_of(light[0], mean[0], variance[0]))
+    template = make_problem(SPACE, *levels_of(light[0], mean[0], variance[0]))
     found = fits_of_settings(template, start, light, mean, variance)
     vectors, covariances = (np.asarray(x) for x in found)
     index = [names(SPACE).index(name) for name in FROM_BOTH]
@@ -654,7 +656,7 @@ def simulated(cameras):
 @pytest.mark.slow
 def test_intervals_of_many_joint_fits_hold_the_truth():
     told = simulated(300)
-    fits = [fitted(SETTINGS, one) for one in told]
+    fits = [fit_settings(SETTINGS, one) for one in told]
     kept = [fit for fit in fits if not fit.freed]
     # Seven tests at 0.1 % each.
     assert len(fits) - len(kept) <= binom.ppf(0.999, len(fits), 0.007)
@@ -678,7 +680,7 @@ def test_intervals_of_many_joint_fits_hold_the_truth():
             SettingEstimates(own.names, own.values + (iso == 800) * stated, own.covariance)
             for own, iso in zip(one, ISO, strict=True)
         ]
-        assert ("quantum_efficiency", "gain") in fitted(SETTINGS, wrong).freed
+        assert ("quantum_efficiency", "gain") in fit_settings(SETTINGS, wrong).freed
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from noise_findings import told
 from oracles.frames import level_of, levels_sharing, shared_variance
 
 from fitting import noise
-from fitting.noise.calibration import calibrate, extra_in_flats, without_flicker
+from fitting.noise.calibration import calibrate, extra_in_flats, subtract_flicker
 from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.level_sums import SquareSums, fixed_variance, temporal_variance
 from fitting.noise.levels import linear_levels, shot_of, signal_of
@@ -23,7 +23,7 @@ from fitting.noise.shared import (
     shared_noise,
     temporal_lines,
 )
-from fitting.noise.statement import base_space, fitted, noise_data, stated
+from fitting.noise.statement import base_space, fit_model, make_problem, noise_data
 from fitting.rig import Camera
 
 H, W, FRAMES, LEVELS = 24, 40, 3, 4
@@ -154,9 +154,9 @@ def test_black_is_within_its_errors_where_it_drifts():
             camera=Camera(bits=12),
         )
         space = base_space(measured, ranges(measured))
-        problem = stated(space, *noise_data(measured, linear_levels(measured)))
+        problem = make_problem(space, *noise_data(measured, linear_levels(measured)))
         start = sheet(statistics(measured, None), measured, ranges(measured))
-        fit = fitted(problem, start)
+        fit = fit_model(problem, start)
         black, rate = (float(fit.values[name]) for name in ("black_level", "responsivity"))
         off = (black - 64) / fit.errors["black_level"]
         z.append((off, np.log(rate / 0.125) / fit.errors["responsivity"]))
@@ -258,7 +258,7 @@ def test_bands_that_move_over_uneven_light_leave_the_gain(count, turned):
     )
     assert measured.bright.left_out == ()
     usable = linear_levels(measured)
-    measured = without_flicker(measured, extra_in_flats(measured, usable))
+    measured = subtract_flicker(measured, extra_in_flats(measured, usable))
     gain = np.sum(shot_of(measured)[usable]) / np.sum(signal_of(measured)[usable])
     error = np.sqrt(2 / (count - 1) / len(usable)) / side
     assert abs(gain / 0.4 - 1) < 3 * error
@@ -341,7 +341,7 @@ def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
         found = extra_in_flats(measured, np.arange(8))["rows"]
         size_of = 0.25 * 0.5 * 20_000 * 0.003
         assert abs(found.variance - size_of**2) < 4 * found.error
-        steady = without_flicker(measured, {"rows": found})
+        steady = subtract_flicker(measured, {"rows": found})
         (said,) = told(SimpleNamespace(measurement=steady, flicker={"rows": found}), "flicker")
         assert said.startswith("The rows of a flat share noise of ")
 
@@ -420,4 +420,4 @@ def test_a_line_sensor_has_no_lines(shape):
     )
     for levels in (measured.bright, measured.dark):
         assert not np.any(levels.shared.lines)
-    assert calibrate(measured).shown["system_gain"].value == pytest.approx(0.5, rel=0.2)
+    assert calibrate(measured).estimates["system_gain"].value == pytest.approx(0.5, rel=0.2)

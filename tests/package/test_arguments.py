@@ -172,8 +172,8 @@ SENTENCES = {
         "project: view must be a record, Orthographic or Pinhole or ThinLens, got a Camera",
     ),
     "a camera for its sensor": (
-        lambda: jv.sensor.at_iso(read_camera("emva1288"), 400.0),
-        "at_iso: sensor must be a record, Sensor, got a Camera",
+        lambda: jv.sensor.set_iso(read_camera("emva1288"), 400.0),
+        "set_iso: sensor must be a record, Sensor, got a Camera",
     ),
     "view and scene the wrong way round": (
         lambda: jv.render(VIEW, SCENE),

@@ -131,7 +131,7 @@ def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
     monkeypatch.setattr(f"{across}.calibration.calibrate_one", calibrate_one)
     monkeypatch.setattr(f"{across}.calibration.calibrate_settings", calibrate_settings)
     monkeypatch.setattr(f"{across}.section.sections", lambda calibration: ["whole"])
-    monkeypatch.setattr("fitting.report.inputs.with_inputs", lambda section, *_: section)
+    monkeypatch.setattr("fitting.report.inputs.add_inputs", lambda section, *_: section)
     rig = SimpleNamespace(camera=SimpleNamespace(sites=("",)))
     with reporting() as reporter:
         found = folders._noise_of_settings(
@@ -160,7 +160,7 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     monkeypatch.setattr(joint, "fit_turned", lambda _, i, *__, **___: SimpleNamespace(channel=i))
     monkeypatch.setattr(joint, "is_determined", lambda fit: True)
     monkeypatch.setattr(joint, "image_sandwich", lambda *_: None)
-    monkeypatch.setattr(joint, "without_strangers", lambda observation: observation)
+    monkeypatch.setattr(joint, "drop_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in
     monkeypatch.setattr(joint, "_recognised", lambda observation, *_: observation)

@@ -5,7 +5,7 @@ import pytest
 from test_photometric_stereo import rough
 
 from fitting.reflectance import photometric_stereo
-from fitting.reflectance.stereo_lights import by_lights, solved
+from fitting.reflectance.stereo_lights import light_covariance, solved
 from jaxvision.errors import InputError
 
 RNG = np.random.default_rng(4)
@@ -116,7 +116,7 @@ def test_errors_of_positions_and_powers_are_propagated():
     np.testing.assert_allclose(g, 100 * normals[0], rtol=1e-12)
     covariance = np.einsum("ij,ab->iajb", np.eye(8), np.diag(sds**2))
     distances = np.linalg.norm(LIGHTS[:, None] - points, axis=-1)
-    found = by_lights(own, weights, inverse, g, covariance, distances)
+    found = light_covariance(own, weights, inverse, g, covariance, distances)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())
 
 

@@ -258,7 +258,7 @@ def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
         logs.append(found.vector[0])
         robust.append(deviations(found)[0])
         naive.append(np.sqrt(np.linalg.inv(found.information)[0, 0]))
-        assert found.robustness.by_light > 10
+        assert found.robustness.light_design_effect > 10
     scatter = np.std(logs, ddof=1)
     # 15 fitted lights and 3 parameters widen by up to sqrt(15 / 12 * 12 / 10) = 1.22, the part of
     # it that shrunk residuals do not need; the scatter of 40 has a relative error of 0.11.

@@ -19,9 +19,9 @@ from fitting.reflectance.from_images.comparison import relative_rms, squares_by_
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.lights import (
     StatedErrors,
+    add_stated_errors,
     beyond_turns,
     information_on_turns,
-    with_stated_errors,
 )
 from fitting.reflectance.from_images.samples import (
     Selection,
@@ -187,15 +187,15 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]))
     freedom = np.array([2.0, 3.0])
     narrow = Robustness(np.diag([0.5, 0.5]), freedom, (1.0, 1.0), 1.0)
-    found = with_stated_errors(narrow, stated, information, known)
+    found = add_stated_errors(narrow, stated, information, known)
     np.testing.assert_allclose(found.covariance, np.diag([0.25 + 1, 1 + 4]))
     assert np.isinf(found.freedom).all()
     wide = replace(narrow, covariance=np.diag([100.0, 0.5]))
-    found = with_stated_errors(wide, stated, information, known)
+    found = add_stated_errors(wide, stated, information, known)
     np.testing.assert_allclose(found.covariance, np.diag([100, 0.5 + 4]))
     np.testing.assert_allclose(found.freedom, [2, 3 / (0.5 / 4.5) ** 2])
     none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)))
-    found = with_stated_errors(wide, none, information, known)
+    found = add_stated_errors(wide, none, information, known)
     np.testing.assert_array_equal(found.covariance, wide.covariance)
     np.testing.assert_array_equal(found.freedom, wide.freedom)
 

@@ -13,7 +13,6 @@ from jaxvision import scene as s
 from jaxvision.core._types import as_dtype
 from jaxvision.sensor import (
     aperture_mtf,
-    at_iso,
     bloomed,
     collect,
     dark_rate,
@@ -25,6 +24,7 @@ from jaxvision.sensor import (
     mean_photoelectrons,
     pixel_means,
     raw_image,
+    set_iso,
     smeared,
     transferred,
 )
@@ -413,8 +413,8 @@ def test_a_traced_sensor_is_not_checked():
 def test_iso_doubles_the_numbers_and_halves_the_exposure_that_fills_them():
     """Saturation by ISO 12232: as many times the gain, as many times less light."""
     base = s.Sensor(gain=0.25, bits=12, offset=10.0)
-    fast = at_iso(base, 800, base_iso=200)
+    fast = set_iso(base, 800, base_iso=200)
     electrons = np.array([[[(4095 - 10) / 0.25]]])
     np.testing.assert_allclose(digitise(base, electrons), 4095)
     np.testing.assert_allclose(digitise(fast, electrons / 4), 4095)
-    assert at_iso(s.Sensor(), 50).gain == 0.5
+    assert set_iso(s.Sensor(), 50).gain == 0.5

@@ -12,7 +12,7 @@ from oracles import contour, exact
 from precisions import assert_finite, both_precisions, eps
 
 import jaxvision as jv
-from jaxvision.lights import direction_pdf, direction_sample, incident, seen
+from jaxvision.lights import direction_pdf, direction_sample, incident, radiance_along
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.lights.window import window_sample
@@ -167,7 +167,7 @@ def test_places_of_a_window_far_away():
 
 @jax.jit
 def look_up(light, point):
-    return seen(light, jv.Ray(point, jnp.asarray([0, 0, 1], point.dtype)))
+    return radiance_along(light, jv.Ray(point, jnp.asarray([0, 0, 1], point.dtype)))
 
 
 @pytest.mark.slow

@@ -16,11 +16,11 @@ from jaxvision.transport.radiosity import (
     Solution,
     ambient_estimate,
     bounce,
-    by_patch,
     closure_error,
     exchanged,
     form_factor_table,
     parallel_rectangles,
+    patch_means,
     patches_of,
     plan_patches,
     radiosity,
@@ -80,7 +80,7 @@ def test_patches_cover_their_shape(name):
     assert patches.area.sum() <= area * (1 + 1e-12)
     np.testing.assert_allclose(elements.area.sum(), patches.area.sum(), rtol=1e-12)
     places = jnp.stack([elements.centre.x, elements.centre.y, elements.centre.z], axis=-1)
-    back = by_patch(places, elements, plan)  # elements lie where their patches do
+    back = patch_means(places, elements, plan)  # elements lie where their patches do
     np.testing.assert_allclose(back[:, 0], patches.centre.x, atol=1e-12)
     np.testing.assert_allclose(back[:, 2], patches.centre.z, atol=1e-12)
     if name in ("box", "sphere"):
@@ -113,7 +113,7 @@ def test_a_closed_room_closes_and_is_reciprocal():
         lambda scene: (patches_of(scene, plan, split=2), patches_of(scene, plan))
     )(scene)
     assert jnp.abs(closure_error(table)).max() < 2e-5  # far nodes miss .03 / 5^4 of few factors
-    exchange = reciprocity_error(by_patch(table, elements, plan), patches.area)
+    exchange = reciprocity_error(patch_means(table, elements, plan), patches.area)
     assert jnp.abs(exchange).max() < 0.02 * (patches.area[0] * table.max())
 
 
@@ -359,7 +359,7 @@ def cube_table():
 
 def closed_room(rho):
     """The cube's mean table, and what a few bright patches send: (table, albedo, sent)."""
-    table = by_patch(cube_table(), patches_of(ROOM, PLAN, split=2), PLAN)
+    table = patch_means(cube_table(), patches_of(ROOM, PLAN, split=2), PLAN)
     sent = rho * jnp.asarray(np.random.default_rng(2).uniform(size=(len(table), 1)) ** 8)
     return table, jnp.full_like(sent, rho), sent
 

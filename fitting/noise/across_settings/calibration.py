@@ -32,7 +32,7 @@ from ..regressions import MISFIT, Part, p_value
 from ..sensor import ends_at_full_scale
 from ..settings import Setting
 from .setting import FramesOfSetting, estimates_from_calibration, estimates_from_darks
-from .statement import Figures, SharedFit, fitted
+from .statement import Figures, SharedFit, fit_settings
 
 # Relative deviation of settings up to which one value with a larger error is used
 LARGEST_RELATIVE_SPREAD = 0.1
@@ -235,7 +235,7 @@ def calibrate_settings(
             estimates.append(estimates_from_calibration(own))
         elif isinstance(one.frames, Levels):
             estimates.append(estimates_from_darks(one.setting, one.frames))
-    fit = fitted([one.setting for one in frames], estimates, seed=seed)
+    fit = fit_settings([one.setting for one in frames], estimates, seed=seed)
     gains = np.exp(np.asarray(fit.figures.log_gain))
     return CameraCalibration(
         frames=frames,

@@ -72,7 +72,7 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
     assert proportion is not None
     scale = proportion[0]
     figure, upper, lower = two_panels(height=1.6)
-    alone, log_gain, error = _alone(calibration, "system_gain")
+    alone, log_gain, error = _separate_estimates(calibration, "system_gain")
     shared = np.exp(np.asarray(calibration.figures.log_gain))
     spread = np.sqrt(np.diagonal(fit.covariance))[np.asarray(fit.fit.problem.inputs["system_gain"])]
     upper.loglog(factor, shared, "o", color=ORANGE, ms=8, mfc="none", label="all settings together")
@@ -82,7 +82,7 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
     upper.set_ylabel("K [DN/e⁻]")
     _plain_ticks(upper.yaxis)
     upper.legend(fontsize=9)
-    beside = _beside(factor[alone])
+    beside = _separate_abscissas(factor[alone])
     off = 100 * (np.exp(log_gain) / (scale * factor[alone]) - 1)
     lower.errorbar(factor[alone] * beside, off, 196 * error, fmt=".", color=BLUE, ms=5, lw=0.8)
     off = 100 * (shared / (scale * factor) - 1)
@@ -103,7 +103,7 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, axis, lower = two_panels(height=1.6)
-    alone, log_value, error = _alone(calibration, "read_noise")
+    alone, log_value, error = _separate_estimates(calibration, "read_noise")
     best, draws = fit.fit.values, fit.fit.draws
     if "variance_before_gain" in best:
         x = np.geomspace(gain.min() / 1.15, 1.15 * gain.max(), POINTS)
@@ -120,7 +120,7 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
     log_fit = np.log(np.asarray(calibration.figures.read_variance))[alone] / 2
     value = np.exp(log_value)
     bars = value * (1 - np.exp(-1.96 * error)), value * (np.exp(1.96 * error) - 1)
-    beside = gain[alone] * _beside(gain[alone])
+    beside = gain[alone] * _separate_abscissas(gain[alone])
     _draw_settings(axis, lower, beside, value, bars, np.exp(log_value - log_fit) - 1, error)
     axis.set(xscale="log", yscale="log", ylim=(0.6 * value.min(), 1.6 * value.max()))
     lower.set_xlabel("K [DN/e⁻]")
@@ -154,7 +154,7 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
         label = f"Arrhenius' law, E = {energy:.3g} eV"
         floor = _draw_law(axis, lower, line, curve, drawn, label)
     seen = known & (value > 1.96 * error)
-    beside = x * (1 + 0.002 * (_beside(x) - 1) / 0.02)
+    beside = x * (1 + 0.002 * (_separate_abscissas(x) - 1) / 0.02)
     off, off_error = value / expected - 1, np.abs(error / expected)
     own = (one[seen] for one in (beside, value, 1.96 * error, off, off_error))
     _draw_settings(axis, lower, *own)
@@ -204,15 +204,17 @@ def _draw_settings(
     lower.set_ylabel("off the fit [%]")
 
 
-def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _separate_estimates(
+    calibration: CameraCalibration, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the indices of the settings whose separate fits determine a quantity, with the
     estimates and their standard errors."""
-    value, error = np.array([one.of(name) for one in calibration.fit.by_setting]).T
+    value, error = np.array([one.estimate(name) for one in calibration.fit.by_setting]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]
 
 
-def _beside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+def _separate_abscissas(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
     """Return factors on the abscissas that separate points of equal abscissa in a figure."""
     order = np.zeros(len(x))
     for place in np.unique(x):

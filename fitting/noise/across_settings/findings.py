@@ -9,7 +9,7 @@ import numpy as np
 
 from ...inference.formatting import format_p, format_with_error
 from ...inference.trust import convergence_in_words
-from ...report.sentences import Finding, Numbers, said
+from ...report.sentences import Finding, Numbers, evaluate_findings
 from ..levels import Levels
 from ..regressions import MISFIT
 from .calibration import CameraCalibration
@@ -27,7 +27,7 @@ NAMES: dict[Quantity, str] = {
 
 def findings(calibration: CameraCalibration) -> tuple[str, ...]:
     """Return all findings, the most consequential first."""
-    return said(FINDINGS, calibration)
+    return evaluate_findings(FINDINGS, calibration)
 
 
 def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:

@@ -18,7 +18,7 @@ from ..prediction.section import explanations
 from .calibration import CameraCalibration
 from .sensor import sensor_without
 from .setting import estimates_from_calibration
-from .statement import fitted
+from .statement import fit_settings
 
 SHOWN = 3  # most settings whose missing effects are named
 
@@ -42,7 +42,7 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
         else own
         for setting, own in every
     ]
-    shared = fitted(calibration.settings, estimates, seed=calibration.posterior.seed)
+    shared = fit_settings(calibration.settings, estimates, seed=calibration.posterior.seed)
     camera, found = replace(calibration, fit=shared), []
     for setting, own in lit.items():
         at = {"gain": setting.gain, "temperature": setting.temperature}

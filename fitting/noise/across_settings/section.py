@@ -88,7 +88,7 @@ def section(calibration: CameraCalibration) -> Section:
 
 def sections(calibration: CameraCalibration) -> list[Section]:
     """Return the report section of the joint fit, then a section for each setting."""
-    return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
+    return [section(calibration), *_setting_sections(calibration.frames, calibration.calibrations)]
 
 
 def records_of_sites(
@@ -108,13 +108,13 @@ def records_of_sites(
     }
 
 
-def without_whole(
+def sections_without_joint_fit(
     frames: Sequence[FramesOfSetting],
     calibrations: Sequence[NoiseCalibration | InputError | None],
     why: str,
 ) -> list[Section]:
     """Return a section that states why the joint fit failed, then a section for each setting."""
-    return [failed_section(KIND, TITLE, why), *_of_settings(frames, calibrations)]
+    return [failed_section(KIND, TITLE, why), *_setting_sections(frames, calibrations)]
 
 
 def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
@@ -125,7 +125,7 @@ def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
     ]
 
 
-def _of_settings(
+def _setting_sections(
     frames: Sequence[FramesOfSetting],
     calibrations: Sequence[NoiseCalibration | InputError | None],
 ) -> list[Section]:
@@ -231,7 +231,7 @@ def _settings_table(calibration: CameraCalibration) -> Table:
     of_settings = zip(calibration.fit.by_setting, gains, calibration.calibrations, strict=True)
     for setting, (estimates, gain, own) in zip(calibration.settings, of_settings, strict=True):
         log_gain, responsivity, log_noise = (
-            estimates.of(name)[0] for name in ("system_gain", "responsivity", "read_noise")
+            estimates.estimate(name)[0] for name in ("system_gain", "responsivity", "read_noise")
         )
         numbers = (
             np.exp(log_gain),

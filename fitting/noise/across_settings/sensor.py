@@ -124,8 +124,8 @@ def sensor_without(
     here = numbers[nearest]
     fitted = {"black_level": black, "read_noise": np.sqrt(np.maximum(read, 0))}
     if at.log_efficiency is not None:
-        fitted["responsivity"] = here.of("system_gain") * np.exp(at.log_efficiency @ weights)
-    every = sensors_of(here.having(fitted))
+        fitted["responsivity"] = here.parameter("system_gain") * np.exp(at.log_efficiency @ weights)
+    every = sensors_of(here.replace_parameters(fitted))
     same = np.ones_like(black)
     lit = [one.frames for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
     exposures = np.concatenate([np.asarray(one.bright.exposure) for one in lit])
@@ -136,7 +136,7 @@ def sensor_without(
         if filled:
             shared["full_well"] = np.median(filled)
     shared = {name: value * same for name, value in shared.items()}
-    shared["gain"] = every.gain * np.exp(at.log_gain @ weights) / here.of("system_gain")
+    shared["gain"] = every.gain * np.exp(at.log_gain @ weights) / here.parameter("system_gain")
     law = None
     if "activation_energy" in values:
         energy = jnp.maximum(values["activation_energy"], 0)
@@ -209,7 +209,7 @@ def _given_all(
     space, count = own.posterior.space, len(gain) - 1
     place = [numbers.about.labels.index(name) for name in known]
     drawn = 1 + np.linspace(0, len(numbers.natural) - 2, count).astype(int)
-    numbers = numbers.at(np.concatenate([[0], drawn]))
+    numbers = numbers.select_draws(np.concatenate([[0], drawn]))
     vectors = np.asarray(to_unconstrained(space, jnp.asarray(numbers.natural)))
     missed = np.stack([shared[name] for name in known], axis=1) - vectors[:, place]
     slope = np.linalg.solve(covariance[np.ix_(place, place)], covariance[place])
@@ -231,7 +231,7 @@ def _black_level(
     )
     black = np.full(len(at.log_gain), mean)
     if numbers is not None:
-        black = numbers.of("black_level")
+        black = numbers.parameter("black_level")
         exposure *= "dark_current" not in numbers.about.labels
     if at.dark_current is None:
         return black

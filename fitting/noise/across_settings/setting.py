@@ -32,7 +32,7 @@ from ..levels import Levels, PhotonTransfer
 from ..read import reduce_darks, reduce_rig
 from ..regressions import inflation, sampling_errors
 from ..sensor import mode_without
-from ..settings import Setting, by_setting
+from ..settings import Setting, split_by_setting
 from ..shared import shared_noise
 from ..usable import check
 
@@ -65,7 +65,7 @@ class SettingEstimates:
     values: Float[np.ndarray, " quantities"]
     covariance: Float[np.ndarray, "quantities quantities"]
 
-    def of(self, name: str) -> tuple[float, float]:
+    def estimate(self, name: str) -> tuple[float, float]:
         """Return the value and standard error of a quantity; NaN if this setting does not determine
         the quantity."""
         if name not in self.names:
@@ -77,8 +77,8 @@ class SettingEstimates:
         """Return the dark current and its standard error, e-/s. A setting of darks alone needs the
         gain, DN/e-, for the conversion to electrons."""
         if "dark_current" in self.names:
-            return self.of("dark_current")
-        rate, error = self.of("dark_signal_rate")
+            return self.estimate("dark_current")
+        rate, error = self.estimate("dark_signal_rate")
         return rate / gain, error / gain
 
 
@@ -164,7 +164,7 @@ def reduce_by_setting(
     """Reduce the frames of a loaded rig as `read_by_setting` does. Unusable settings are left out
     and added to `failed` with the reason. If `failed` is None, an unusable setting raises
     InputError."""
-    rigs = by_setting(rig)
+    rigs = split_by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}
     for setting in sorted(rigs, key=lambda one: not rigs[one].flat):  # flats first

@@ -217,7 +217,7 @@ class SharedFit:
         return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
 
 
-def fitted(
+def fit_settings(
     settings: Sequence[Setting], estimates: Sequence[SettingEstimates], *, seed: int = 0
 ) -> SharedFit:
     """Fit all settings together, and drop assumptions until none fails. Raises InputError if a
@@ -226,7 +226,7 @@ def fitted(
     failed: list[Claim] = []
     reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
     while True:
-        problem, start, labels = _stated(settings, estimates, freed, reference)
+        problem, start, labels = _make_problem(settings, estimates, freed, reference)
         begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
         optimum = search(problem, np.asarray(start_at(problem.space, begin))[None])
         claims = _tested(problem, optimum.vector, settings, freed)
@@ -241,14 +241,14 @@ def fitted(
         found = fit(problem, start=start, misfit="inflate", seed=seed)
     values = {name: jnp.asarray(value) for name, value in found.values.items()}
     return SharedFit(
-        *(tuple(settings), tuple(estimates), freed, labels, found, _named(found, labels)),
+        *(tuple(settings), tuple(estimates), freed, labels, found, _name_posterior(found, labels)),
         figures=jax.tree.map(np.asarray, figures(values, problem.inputs)),
         claims=(*failed, *claims),
         reference=reference,
     )
 
 
-def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
+def _name_posterior(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
     """Return the posterior with parameters named by gain, temperature or setting instead of an
     index."""
     space = tuple(
@@ -262,7 +262,7 @@ def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
     return replace(found.posterior, space=space, missed=missed)
 
 
-def _stated(
+def _make_problem(
     settings: Sequence[Setting],
     estimates: Sequence[SettingEstimates],
     freed: frozenset[Law],
@@ -271,7 +271,7 @@ def _stated(
     """Return the problem without the dropped assumptions `freed`, the starting point of its fit,
     and labels for parameters that have several values."""
     table = np.array(
-        [[one.of(name) for name in ESTIMATED] for one in estimates]
+        [[one.estimate(name) for name in ESTIMATED] for one in estimates]
     )  # (settings, quantities, 2)
     column = dict(zip(ESTIMATED, table[..., 0].T, strict=True))
     gains = [setting.gain_label for setting in settings]

@@ -181,7 +181,7 @@ def compare(
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
     own_means = slice(found.signal.size)
-    die[own_means, own_means] += dies * _of_unequal_pixels(best, found, levels)
+    die[own_means, own_means] += dies * _pixel_sampling_covariance(best, found, levels)
     camera = flat.T @ flat / len(flat)
     if not noise_known:
         unknown = UNKNOWN * np.concatenate([0 * own[:1], own[1:]]).ravel()
@@ -268,7 +268,7 @@ def _expected(
     return found, _file_numbers(of_every[min(len(of_every) - 1, 1) :], step, origin), die
 
 
-def _of_unequal_pixels(
+def _pixel_sampling_covariance(
     sensor: Sensor, found: Expected, levels: Frames
 ) -> Float[np.ndarray, "levels levels"]:
     """Return the covariance between the levels' means, DN^2, due to the sampling of the pixels: the

@@ -41,7 +41,7 @@ class Size(NamedTuple):
     value: float
     error: float
 
-    def in_words(self, scale: float = 1.0) -> str:
+    def format(self, scale: float = 1.0) -> str:
         return format_with_error(abs(scale * self.value), abs(scale) * self.error)
 
     def root(self, scale: float = 1.0) -> str:
@@ -77,9 +77,9 @@ def _all_noise(size: Size, found: Expected) -> str:
         count = Size(1 / (1 + size.value), size.error / (1 + size.value) ** 2)
         how = "as in frames that were denoised or resized"
         if count.value > FEWEST_AVERAGED:
-            how += f", or in means of {count.in_words()} frames or pixels (binning)"
+            how += f", or in means of {count.format()} frames or pixels (binning)"
     return (
-        f"variances {size.word('larger', 'smaller')} by {size.in_words(100)} % at every level, "
+        f"variances {size.word('larger', 'smaller')} by {size.format(100)} % at every level, "
         f"dark or light, {how}"
     )
 
@@ -87,7 +87,7 @@ def _all_noise(size: Size, found: Expected) -> str:
 def _filtered(along: str) -> Callable[[Size, Expected], str]:
     """Make the function that names covariances of neighbours in proportion to all noise."""
     return lambda a, e: (
-        f"covariances of neighbours along {along} of {a.word('', '-')}{a.in_words(100)} % of the "
+        f"covariances of neighbours along {along} of {a.word('', '-')}{a.format(100)} % of the "
         "predicted variance at every level, dark or light, as in frames that were "
         f"{a.word('smoothed, resized or interpolated', 'sharpened or resized')}"
     )
@@ -97,7 +97,7 @@ def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
     """Make the function that names mixing of neighbouring pixels which the fitted gain did not
     include."""
     return lambda a, e: (
-        f"{neighbours} {a.in_words(100)} % of the signal's variance (mixing of pixels, by "
+        f"{neighbours} {a.format(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
         "small"
     )
@@ -108,46 +108,46 @@ CANDIDATES = (
         "light",
         lambda e, at: (*e.by_light[:2], None, None),
         lambda a, e: (
-            f"{a.in_words(100)} % {a.word('more', 'less')} light than stated, or a quantum "
+            f"{a.format(100)} % {a.word('more', 'less')} light than stated, or a quantum "
             f"efficiency {a.word('larger', 'smaller')} by that"
         ),
     ),
     Candidate(
         GAIN,
         lambda e, at: (e.signal, 2 * e.values[1], None, None),
-        lambda a, e: f"a gain {a.word('larger', 'smaller')} by {a.in_words(100)} %",
+        lambda a, e: f"a gain {a.word('larger', 'smaller')} by {a.format(100)} %",
     ),
     Candidate(
         "compression",
         lambda e, at: (-e.signal * e.share, -4 * e.share * e.shot, None, None),
         lambda a, e: (
             f"a response that is not linear: at the brightest level the mean is "
-            f"{a.in_words(100)} % {a.word('below', 'above')} the line"
+            f"{a.format(100)} % {a.word('below', 'above')} the line"
         ),
     ),
     Candidate(
         "light_offset",
         lambda e, at: (*e.by_light[:2] / np.where(at.light > 0, at.light, 1), None, None),
         lambda a, e: (
-            f"{a.in_words()} photons {a.word('more', 'less')} in every exposure with light, as "
+            f"{a.format()} photons {a.word('more', 'less')} in every exposure with light, as "
             "with a shutter that is late or light that leaks"
         ),
     ),
     Candidate(
         "black_level",
         lambda e, at: (1.0, None, None, None),
-        lambda a, e: f"a black level {a.word('higher', 'lower')} by {a.in_words()} DN",
+        lambda a, e: f"a black level {a.word('higher', 'lower')} by {a.format()} DN",
     ),
     Candidate(
         "dark_current",
         lambda e, at: (e.step * at.exposure, e.step**2 * at.exposure, None, None),
-        lambda a, e: f"{a.in_words()} e⁻/s {a.word('more', 'less')} dark current",
+        lambda a, e: f"{a.format()} e⁻/s {a.word('more', 'less')} dark current",
     ),
     Candidate(
         "dark_subtraction",
         lambda e, at: (-e.dark_current * e.step * at.exposure, None, None, None),
         lambda a, e: (
-            f"means lower by {a.in_words(100)} % of the dark current, though not the variances, as "
+            f"means lower by {a.format(100)} % of the dark current, though not the variances, as "
             "after a dark frame was subtracted"
         ),
         positive=True,
@@ -198,7 +198,7 @@ CANDIDATES = (
         lambda e, at: (None, -e.share * e.shot, e.share * e.shot / 4, e.share * e.shot / 4),
         lambda a, e: (
             "charges that repel each other (the brighter-fatter effect), which removes "
-            f"{a.in_words(100)} % of the brightest level's variance"
+            f"{a.format(100)} % of the brightest level's variance"
         ),
         positive=True,
     ),
@@ -206,7 +206,7 @@ CANDIDATES = (
         "mixing",
         lambda e, at: (None, -e.shot, e.shot / 4, e.shot / 4),
         lambda a, e: (
-            f"neighbours that share {a.in_words(100)} % of the signal's variance (mixing of "
+            f"neighbours that share {a.format(100)} % of the signal's variance (mixing of "
             "pixels, as by capacitance between them or by interpolation)"
         ),
         positive=True,
@@ -242,7 +242,7 @@ CANDIDATES = (
         "shot_noise",
         lambda e, at: (None, e.by_light[1], None, None),
         lambda a, e: (
-            f"shot noise whose variance is {a.in_words(100)} % {a.word('larger', 'smaller')} "
+            f"shot noise whose variance is {a.format(100)} % {a.word('larger', 'smaller')} "
             "at the same mean, as if frames were "
             f"{a.word('sharpened, or electrons multiplied', 'averaged, denoised or compressed')}"
         ),
@@ -252,17 +252,17 @@ SCATTERS = (  # new at every level
     Candidate(
         "light_scatter",
         lambda e, at: (e.by_light[0], None, None, None),
-        lambda a, e: f"light that scatters by {a.in_words(100)} % rms from level to level",
+        lambda a, e: f"light that scatters by {a.format(100)} % rms from level to level",
     ),
     Candidate(
         "black_scatter",
         lambda e, at: (1.0, None, None, None),
-        lambda a, e: f"a black level that varies by {a.in_words()} DN rms from level to level",
+        lambda a, e: f"a black level that varies by {a.format()} DN rms from level to level",
     ),
     Candidate(
         "variance_scatter",
         lambda e, at: (None, e.values[1], None, None),
-        lambda a, e: f"variances that scatter by {a.in_words(100)} % rms from level to level",
+        lambda a, e: f"variances that scatter by {a.format(100)} % rms from level to level",
     ),
     Candidate(
         "", lambda e, at: (None, None, e.values[1], e.values[1]), lambda a, e: ""
@@ -339,13 +339,13 @@ class _Fit:
     def __init__(self, comparison: Comparison) -> None:
         self._comparison, self._found, self._taken = comparison, comparison.found, []
         self._values = np.zeros(0)
-        self._with_effects(self._values)
+        self._apply_effects(self._values)
         self._named = np.zeros(len(SCATTERS), bool)
         self._take_noise()
         most = np.log(np.sum(self._missed**2) + 1)
         self._bounds = [(most + np.log(FINEST), most)] * len(SCATTERS)
         self._logs = np.full(len(SCATTERS), most - 5)
-        self._logs = self._searched(self._columns)
+        self._logs = self._fit_scatters(self._columns)
 
     def _take_noise(self) -> None:
         """Divide residuals, covariances and signatures by the current expected noise of the
@@ -374,7 +374,7 @@ class _Fit:
         if not sizes.all():
             return -np.inf
         columns = np.column_stack([self._columns, shapes / sizes])
-        logs = self._searched(columns)
+        logs = self._fit_scatters(columns)
         fitted = self._sizes(columns, self._covariance(logs))[0][-len(some) :]
         if any(one.positive and size < 0 for one, size in zip(some, fitted, strict=True)):
             return -np.inf
@@ -387,9 +387,9 @@ class _Fit:
         self._values = np.append(self._values, 0.0)
         for _ in range(REFINEMENTS):
             self._take_noise()
-            self._logs = self._searched(self._columns)
+            self._logs = self._fit_scatters(self._columns)
             self._values = self._sizes(self._columns, self._covariance(self._logs))[0]
-            self._found = self._with_effects(self._values)
+            self._found = self._apply_effects(self._values)
         self._take_noise()
         return self._missing(one, self._taken_sizes()[one.key], gain)
 
@@ -413,7 +413,7 @@ class _Fit:
                 named.append(replace(one, clause=clause))
         return tuple(named or found)
 
-    def _with_effects(self, sizes: np.ndarray) -> Expected:
+    def _apply_effects(self, sizes: np.ndarray) -> Expected:
         """Return the prediction with effects of these sizes. An error of the gain is applied after
         the effects that act before the amplifier."""
         found = self._comparison.found
@@ -494,7 +494,7 @@ class _Fit:
     def _covariance(self, logs: np.ndarray) -> np.ndarray:
         return self._known + np.diag(np.exp(logs) @ self._squares)
 
-    def _searched(self, columns: np.ndarray) -> np.ndarray:
+    def _fit_scatters(self, columns: np.ndarray) -> np.ndarray:
         """Maximise the restricted likelihood of the residuals over the variances of the three
         scatters (light, black level, variance), in a regression on `columns`, the signatures of
         some effects. Return the logarithms of these variances."""

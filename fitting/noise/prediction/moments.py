@@ -185,7 +185,7 @@ def expected(
 
 
 def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
-    sensor, light = _at(sensor, at)
+    sensor, light = _level_sensor(sensor, at)
     found = [expected_signal(sensor, light)]
     if not neighbours:
         found.append(signal_variance(sensor, light))
@@ -195,7 +195,7 @@ def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
     return jnp.stack([found[0].reshape(()), around[0, 0], around[0, 1], around[1, 0]])
 
 
-def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
+def _level_sensor(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
     """Return the sensor with the exposure time of ONE level and without frame noise, and the
     level's light per second."""
     time = jnp.maximum(at.exposure, SHORTEST)
@@ -213,7 +213,7 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
 
     def one(at: Lit) -> tuple[Array, Array, Array]:
         def both(more: Array) -> tuple[Array, Array]:
-            own, light = _at(sensor, replace(at, light=at.light + more))
+            own, light = _level_sensor(sensor, replace(at, light=at.light + more))
             plain = replace(own, gain=None, offset=None, nonlinearity=None, bits=None)
             return jnp.sum(expected_signal(own, light)), jnp.sum(expected_signal(plain, light))
 
@@ -272,7 +272,7 @@ def _clipped(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> Array:
     black = 0.0 if sensor.offset is None else sensor.offset
 
     def one(at: Lit, offset: Array) -> Array:
-        own, light = _at(replace(sensor, offset=offset), at)
+        own, light = _level_sensor(replace(sensor, offset=offset), at)
         return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)], axis=-1)
 
     return jax.lax.map(

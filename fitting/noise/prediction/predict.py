@@ -142,7 +142,7 @@ def predict(
         name = str(camera)
         camera, draws = read_with_draws(Path(camera))
     if camera.taps is not None:
-        camera, draws = _of_one_tap(name, camera, draws, measurement)
+        camera, draws = _tap_sensors(name, camera, draws, measurement)
         name = f"{name}, {measurement.site},"
     camera = _channel_sensor(name, camera)
     _require_bits(name, camera, measurement)
@@ -416,7 +416,7 @@ def read_with_draws(file: Path) -> tuple[Sensor, Sensor | None]:
     return read_sensor(file), read_sensor(file, draws=count) if count else None
 
 
-def _of_one_tap(
+def _tap_sensors(
     name: str, sensor: Sensor, draws: Sensor | None, measurement: PhotonTransfer
 ) -> tuple[Sensor, Sensor | None]:
     """Return the sensor, and its draws, of the amplifier tap that read the frames."""

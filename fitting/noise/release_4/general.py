@@ -88,8 +88,8 @@ def general(
     else:
         used = np.flatnonzero((lights <= float(within.saturation)) & (lights > 0) & (variances > 0))
     matched = np.asarray(measurement.dark_of)[used]
-    lit = _drawn(bright, shared, rng)
-    unlit = _drawn(dark, shared, rng)
+    lit = _draw_moments(bright, shared, rng)
+    unlit = _draw_moments(dark, shared, rng)
     signal = lit[0][:, used] - unlit[0][:, matched]
     variance, dark_variance = lit[1][:, used], unlit[1][:, matched]
     light = lights[used]
@@ -138,7 +138,7 @@ def general(
     )
 
 
-def _drawn(
+def _draw_moments(
     levels: Levels, shared: SharedNoise | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw (draws, levels) means and variances with their sampling errors; the first row is the

@@ -106,7 +106,7 @@ def split(image: Float[np.ndarray, "h w"], rest: float) -> Split:
     return Split(total, row - pixel / columns, col - pixel / rows, pixel)
 
 
-def drawn(
+def simulate(
     dark: Float[np.ndarray, "h w"],
     bright: Float[np.ndarray, "h w"],
     rest: Float[np.ndarray, "2"],

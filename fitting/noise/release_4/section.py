@@ -77,7 +77,7 @@ def sections(sheet: Release4) -> list[Section]:
     linear = Section(
         kind=f"{KIND}_linear",
         title=f"{TITLE} Linear",
-        estimates=_without_doubted(sheet, [*_linear(sheet), *_nonuniformities(sheet)]),
+        estimates=_replace_doubted(sheet, [*_linear(sheet), *_nonuniformities(sheet)]),
         findings=_findings(sheet),
         pictures=pictures_of_images(sheet),
         tables=of_images,
@@ -88,7 +88,7 @@ def sections(sheet: Release4) -> list[Section]:
     general = Section(
         kind=f"{KIND}_general",
         title=f"{TITLE} General",
-        estimates=_without_doubted(sheet, _general(sheet)),
+        estimates=_replace_doubted(sheet, _general(sheet)),
         pictures=(signal_to_noise(sheet),),
         tables=(_signal_to_noise(sheet),),
         about="EMVA Standard 1288, release 4.0 General (2021): no linear model, the measured "
@@ -98,7 +98,7 @@ def sections(sheet: Release4) -> list[Section]:
     return [linear, general]
 
 
-def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
+def _replace_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
     """Return the figures. If contradictory frames do not determine a figure, the reason replaces
     its value."""
     doubts = sheet.stacks.measurement.doubts

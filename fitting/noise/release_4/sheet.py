@@ -16,7 +16,7 @@ from ..emva1288 import Evaluation, Ranges, evaluate
 from ..shared import shared_noise
 from .general import General, general
 from .linear import figures
-from .nonuniformity import Loss, Split, can_filter, drawn, high_pass, loss_of_filter, split
+from .nonuniformity import Loss, Split, can_filter, high_pass, loss_of_filter, simulate, split
 from .saturation import ranges
 from .stacks import Stack, Stacks
 
@@ -133,7 +133,7 @@ def _nonuniformity(
         images, loss = [high_pass(image) for image in images], loss_of_filter()
     rest = np.array([one.noise / one.frames for one in (unlit, lit)])
     degrees = np.array([images[0].size * (one.frames - 1) for one in (unlit, lit)])
-    draws = drawn(images[0], images[1], rest, rest * np.sqrt(2 / degrees), loss, rng)
+    draws = simulate(images[0], images[1], rest, rest * np.sqrt(2 / degrees), loss, rng)
     return Nonuniformity(
         split(images[0], unlit.rest),
         split(images[1], lit.rest),

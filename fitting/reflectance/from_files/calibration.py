@@ -22,7 +22,7 @@ from jaxvision import Vec, as_dtype
 
 from ...inference.clustering import curvature_stretch
 from ...inference.diagnostics import OPEN_LOG_SD
-from ...inference.emcee_run import Emcee, for_group
+from ...inference.emcee_run import Emcee, group_options
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
 from ...inference.precision import double_precision
@@ -131,7 +131,7 @@ def calibrate(
     posterior = None
     if not reasons:
         problem = problem_of(samples, chosen, space, index)
-        own = for_group(sampling, measured.name)
+        own = group_options(sampling, measured.name)
         posterior = _posterior(problem, mean, covariance, own, seed)
     return BRDFCalibration(
         measured=measured,

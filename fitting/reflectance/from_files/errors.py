@@ -75,7 +75,7 @@ def metric(errors: Errors, objective: Objective) -> float:
     return errors.relative if objective == "cosine" else errors.cube_root
 
 
-def in_words(errors: Errors, objective: Objective) -> str:
+def format_error(errors: Errors, objective: Objective) -> str:
     """Return an error in words: in per cent of the signal, or in sr^(-1/3) for cube roots."""
     value = metric(errors, objective)
     return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"

@@ -12,7 +12,7 @@ from jaxvision import as_array
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
-from ...report.sentences import Finding, Numbers, said
+from ...report.sentences import Finding, Numbers, evaluate_findings
 from ..models import LABELS, REFLECTANCES, facet_sentence, has_lobe, shape_of, shape_range
 from ..names import AXIS_NAMES, CLEAR, DESCRIBES, Axis, Model, Objective
 from .calibration import BRDFCalibration, albedo
@@ -26,7 +26,7 @@ from .errors import (
     best_about_axis,
     describes,
     exceeds_signal,
-    in_words,
+    format_error,
     metric,
     ratio,
     weight_by_incidence,
@@ -54,14 +54,14 @@ FRESNEL: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-metal", "lam
 
 def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
     """Return all findings about one material."""
-    return said(FINDINGS, calibration)
+    return evaluate_findings(FINDINGS, calibration)
 
 
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
     """Return sentences on whether, over several materials, lobes about the half vector fit better,
     as in the literature, and why.
     """
-    return said(OVER_MATERIALS, calibrations)
+    return evaluate_findings(OVER_MATERIALS, calibrations)
 
 
 def readable(name: str) -> str:
@@ -142,7 +142,9 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     far: list[Model] = [m for m in equal if found[m].value >= APART]
     rivals: list[Model] = [best_about_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
-    against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
+    against = ", ".join(
+        f"{format_error(held_out[m], objective)} for {_described(m)}" for m in others
+    )
     angles = np.degrees(calibration.measured.incidences)
 
     def compared(models: Sequence[Model], *, counted: bool = False) -> str:
@@ -158,7 +160,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
             )
             often = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
             sentences.append(
-                f"{LABELS[m]} ({in_words(held_out[m], objective)}: {one.value:.2f} times the "
+                f"{LABELS[m]} ({format_error(held_out[m], objective)}: {one.value:.2f} times the "
                 f"error, {least}, {most}{often * counted})"
             )
         return listed(sentences) if sentences else ""
@@ -166,10 +168,10 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     numbers = {
         "winner": LABELS[winner],
         "metric": METRICS[objective],
-        "error": in_words(held_out[winner], objective),
+        "error": format_error(held_out[winner], objective),
         "unit": " of the signal's" if objective == "cosine" else "",
         "against": f", against {against}" if others else "",
-        "equal": listed([f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal])
+        "equal": listed([f"{LABELS[m]} ({format_error(held_out[m], objective)})" for m in equal])
         if equal
         else "",
         "far": compared(far),
@@ -177,7 +179,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
         "useless": compared(useless),
         "likely": LIKELY,
     }
-    return {"verdict": " ".join(said(VERDICT, numbers))}
+    return {"verdict": " ".join(evaluate_findings(VERDICT, numbers))}
 
 
 def _described(model: Model) -> str:
@@ -202,10 +204,12 @@ def _pairs(calibration: BRDFCalibration) -> Numbers:
     sentences = []
     for mirror, half in PAIRS:
         ours, theirs = held_out[half], held_out[mirror]
-        relation = said(RELATIONS, (ours, theirs, ratio(ours, theirs, objective), objective))[0]
+        relation = evaluate_findings(
+            RELATIONS, (ours, theirs, ratio(ours, theirs, objective), objective)
+        )[0]
         sentences.append(
             f"{LABELS[half]} {relation} {LABELS[mirror]} "
-            f"({in_words(ours, objective)} against {in_words(theirs, objective)})"
+            f"({format_error(ours, objective)} against {format_error(theirs, objective)})"
         )
     return {"pairs": "; ".join(sentences)}
 
@@ -265,7 +269,7 @@ def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
 # ---------------------------------------------------------------- several materials
 
 
-def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
+def _compare_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
     """Return the best lobe about the half vector, the best about the mirror direction, and the axis
     that is significantly better.
     """
@@ -283,7 +287,7 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
     confounded = []
     for calibration in calibrations:
         name = readable(calibration.measured.name)
-        half, mirror, side = _of_best_lobes(calibration)
+        half, mirror, side = _compare_best_lobes(calibration)
         wins[side].append(name)
         if side != "neither" and (mirror, half) not in PAIRS:
             confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
@@ -315,7 +319,7 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
         for c in calibrations
         for mirror, half in PAIRS
     ]
-    alone, overall = set(results), {_of_best_lobes(c)[-1] for c in calibrations}
+    alone, overall = set(results), {_compare_best_lobes(c)[-1] for c in calibrations}
     if {"half", "mirror"} <= alone:
         judgement = "confirm only in part"
     elif "half" in alone and "mirror" not in overall:
@@ -348,9 +352,9 @@ def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
             continue
         rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
         sentences.append(
-            f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
-            f"{in_words(clear, objective)}; this is {format_percent(rise / lead)} of the "
-            f"improvement over Lambert's {in_words(matt, objective)}"
+            f"{readable(calibration.measured.name)} {format_error(metal, objective)} instead of "
+            f"{format_error(clear, objective)}; this is {format_percent(rise / lead)} of the "
+            f"improvement over Lambert's {format_error(matt, objective)}"
         )
     return {"listing": "; ".join(sentences)} if sentences else None
 

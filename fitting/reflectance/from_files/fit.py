@@ -207,7 +207,7 @@ class _Search:
         """Return f_r of unit amplitude for the shapes of the first grid."""
         return self.columns(first_knots(*self.range))
 
-    def at(
+    def evaluate(
         self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
     ) -> LobeFit:
         """Return the fit at some parameters. `kept` is the factor, 0 to 1, on each sample's
@@ -251,7 +251,7 @@ class _Search:
         measured = self.measured
         weights = (kept * measured.weights * measured.cosine**2)[:, None]
         weights = np.broadcast_to(weights, measured.values.shape)
-        of_squares = self.at(kept, *self.separable(measured.values, weights))
+        of_squares = self.evaluate(kept, *self.separable(measured.values, weights))
         if self.objective == "cosine":
             return of_squares
         ends = [self.descent(kept, of_squares)]
@@ -267,7 +267,7 @@ class _Search:
         """
         measured, cosine = self.measured, self.measured.cosine[:, None]
         weights, dark = (kept * measured.weights)[:, None], darkness(measured)
-        best = self.at(kept, start.diffuse, start.specular, start.shape)
+        best = self.evaluate(kept, start.diffuse, start.specular, start.shape)
         reach = self.range[1] - self.range[0]
         for _ in range(MOST_STEPS):
             root = np.cbrt(cosine * best.predicted + dark)
@@ -277,7 +277,7 @@ class _Search:
             diffuse, specular, shape = self.separable(goal, pull, (here - reach, here + reach))
             away = 0.0 if shape is None else float(np.log(shape)) - here
             tried = (
-                self.at(
+                self.evaluate(
                     kept,
                     best.diffuse + share * (diffuse - best.diffuse),
                     best.specular + share * (specular - best.specular),

@@ -108,7 +108,7 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
         findings += ("Samples are scattered over the viewing directions and have equal weights.",)
     else:
         anisotropic = isinstance(measured, RGL) and len(measured.phi) > 2
-        samples, weights = _on_grid(measured, anisotropic=anisotropic)
+        samples, weights = _sample_grid(measured, anisotropic=anisotropic)
         findings += (
             "The file's table was sampled for lights from 10° to 80° in steps of 10° and for half "
             "vectors that are denser near the normal, where lobes are; samples are weighted by "
@@ -122,7 +122,7 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
     return from_samples(path.stem, samples, weights=weights, findings=findings, source=str(path))
 
 
-def _on_grid(
+def _sample_grid(
     material: Material, *, anisotropic: bool
 ) -> tuple[BRDFSamples, Float[np.ndarray, " n"]]:
     """Sample a table on the grid that the module docstring describes. Return the samples, with

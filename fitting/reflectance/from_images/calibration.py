@@ -27,7 +27,7 @@ from .fit import ChannelFit, channel_posterior, fit_channel, lights_as_fitted, p
 from .pixel_area import recognise_points
 from .read import Photographs
 from .samples import Grouping, Selection, View, cells_of, predict, select
-from .shading_check import without_strangers
+from .shading_check import drop_strangers
 from .signal import Form, parameter_space
 
 FEWEST_SAMPLES = 50
@@ -149,7 +149,7 @@ def calibrate(
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
     check_index(index)
-    observation = without_strangers(observation)
+    observation = drop_strangers(observation)
     forms: dict[Model, Form] = {
         name: Form(name, ambient, fit_gamma, index)
         for name in MODELS

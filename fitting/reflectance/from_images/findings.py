@@ -14,7 +14,7 @@ from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
-from ...report.sentences import Finding, Numbers, said
+from ...report.sentences import Finding, Numbers, evaluate_findings
 from ..models import LABELS, facet_sentence
 from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
@@ -41,9 +41,9 @@ OfChannel = tuple[ReflectanceCalibration, ChannelFit]
 def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     """Return all findings about a reflectance calibration."""
     return (
-        *said(GIVEN, calibration),
+        *evaluate_findings(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.reported),
-        *said(OF_ALL, calibration),
+        *evaluate_findings(OF_ALL, calibration),
     )
 
 
@@ -56,7 +56,7 @@ def said_of_channels(
     return tuple(
         sentence if len(fits) == 1 else f"{fit.channel}: {sentence}"
         for fit in fits
-        for sentence in said(table, (calibration, fit))
+        for sentence in evaluate_findings(table, (calibration, fit))
     )
 
 
@@ -105,7 +105,7 @@ def _regions(fit: ChannelFit) -> int:
 
 def _too_few_lights(of: OfChannel) -> bool:
     """Return whether the lights are too few to measure how much they disagree."""
-    return of[1].robustness is not None and bool(np.isnan(of[1].robustness.by_light))
+    return of[1].robustness is not None and bool(np.isnan(of[1].robustness.light_design_effect))
 
 
 def _few_freedom(of: OfChannel) -> Numbers | None:
@@ -130,8 +130,8 @@ def _design_effect(of: OfChannel) -> Numbers | None:
     if fit.design_effect <= 1 or fit.robustness is None:
         return None
     return {
-        "by_light": fit.robustness.by_light,
-        "by_pixel": fit.robustness.by_pixel,
+        "by_light": fit.robustness.light_design_effect,
+        "by_pixel": fit.robustness.pixel_design_effect,
         "size": fit.samples.dn.size,
         "worth": fit.samples.dn.size / fit.design_effect,
         "wider": np.sqrt(fit.design_effect),
@@ -146,7 +146,7 @@ def _region_numbers(of: OfChannel) -> Numbers | None:
 # ---------------------------------------------------------------- all channels
 
 
-def _turned(
+def _report_rotations(
     calibration: ReflectanceCalibration, *, followed: bool, wider: bool = False
 ) -> Numbers | None:
     """Report the size of the estimated rotations of light directions, in standard deviations, in
@@ -233,7 +233,7 @@ def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
         (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
         for fit in fits
         if fit.robustness is not None
-        and np.isfinite(fit.robustness.by_light)  # otherwise errors are unknown
+        and np.isfinite(fit.robustness.light_design_effect)  # otherwise errors are unknown
         and "specular" in [p.name for p in fit.space]
     ]
     if len(fits) != 3 or len(known) != 3:
@@ -427,20 +427,20 @@ OF_CHANNEL = (
 OF_ALL = (
     Finding(
         "lights astray",
-        partial(_turned, followed=False),
+        partial(_report_rotations, followed=False),
         "{channels}: to fit the images, lights would have to be rotated by {sizes} times"
         " direction_sd (rms): it is too small, or the model has another misfit. The directions of"
         " the rig were kept, and no statement on the highlight is made.",
     ),
     Finding(
         "lights turned",
-        partial(_turned, followed=True),
+        partial(_report_rotations, followed=True),
         "The directions of the lights were fitted: they changed by {sizes} times direction_sd along"
         " either axis (rms).",
     ),
     Finding(
         "directions wider",
-        partial(_turned, followed=True, wider=True),
+        partial(_report_rotations, followed=True, wider=True),
         "{channels}: changes of this size are significant: direction_sd is too small, or the"
         " directions absorb a misfit of the model. The intervals use an error of the directions as"
         " large as the changes; state a larger direction_sd, and compare models.",
@@ -523,8 +523,10 @@ def misfit_table(calibration: ReflectanceCalibration) -> Table:
             fit.sensor_chi_square,
             fit.chi_square,
             fit.spread.relative,
-            None if robust is None or np.isnan(robust.by_light) else robust.by_light,
-            None if robust is None else robust.by_pixel,
+            None
+            if robust is None or np.isnan(robust.light_design_effect)
+            else robust.light_design_effect,
+            None if robust is None else robust.pixel_design_effect,
             round(fit.samples.dn.size / fit.design_effect),
         )
 

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from ...inference.clustering import Robustness, cluster_robust, curvature_stretch
 from ...inference.diagnostics import Identifiability, identifiability
-from ...inference.emcee_run import Emcee, for_group
+from ...inference.emcee_run import Emcee, group_options
 from ...inference.importance import laplace_where_it_holds
 from ...inference.neighbours import regions
 from ...inference.parameters import ParameterSpace, natural_numbers
@@ -34,13 +34,13 @@ from ...inference.precision import double_precision
 from .lights import (
     StatedErrors,
     TurnedLights,
-    among_turns,
+    add_stated_errors,
+    fit_rotations,
     information_on_turns,
+    rotate_lights,
     shifts_of_turns,
     stated_errors,
-    turned,
-    with_stated_errors,
-    with_wider_directions,
+    widen_directions,
 )
 from .optimum import (
     Spread,
@@ -164,10 +164,10 @@ def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
         sensor = sensor_spread(observation.gain, observation.read_noise)
     found, lights, turns = best(samples, grouping, sensor), None, None
     if np.any(observation.uncertain.get("direction_sd", 0) * ~observation.held_out):
-        found, lights = among_turns(found, view, grouping, sensor)
+        found, lights = fit_rotations(found, view, grouping, sensor)
         if lights.followed:
             turns = lights.turns / lights.widened
-            wider = with_wider_directions(observation, lights.widened)
+            wider = widen_directions(observation, lights.widened)
             view = replace(view, observation=wider)
     samples, prediction = found.samples, found.prediction
     space = parameter_space(samples.form)
@@ -212,7 +212,7 @@ def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robu
     among = fit.stated.left_of(fit.information)[np.ix_(known, known)]
     light, pixel = fit.selection.light, fit.selection.pixel
     found = cluster_robust(gradients[known], among, fit.regions[light], pixel, slopes=slopes[known])
-    return with_stated_errors(found, fit.stated, among, known)
+    return add_stated_errors(found, fit.stated, among, known)
 
 
 def squared_errors(
@@ -233,7 +233,9 @@ def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
     """Return the photographs with the light directions that a fit estimated."""
     if fit.turned is None or not fit.turned.followed:
         return observation
-    return turned(observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None])
+    return rotate_lights(
+        observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None]
+    )
 
 
 def predicted_image(
@@ -322,4 +324,4 @@ def adjusted_posterior(
         of = adjusted_log_density, space, data.mode, covariance, data
         return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)
     of = adjusted_log_density, space, data.mode, covariance if wider is None else wider, data
-    return sample(*of, options=for_group(sampling, channel), seed=seed)
+    return sample(*of, options=group_options(sampling, channel), seed=seed)

@@ -81,7 +81,7 @@ Prior = Float[np.ndarray, "turns turns"]  # P, in these units; None where it is 
 # ---------------------------------------------------------------- directions
 
 
-def turned(observation: Photographs, angles_across: Turns) -> Photographs:
+def rotate_lights(observation: Photographs, angles_across: Turns) -> Photographs:
     """Rotate the lights by angles (lights, 2) in rad, about two axes perpendicular to each light's
     direction.
     """
@@ -106,7 +106,9 @@ def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) 
 
 
 def _about(view: View, turns: Turns, form: Form) -> Samples:
-    seen = turned(view.observation, turns * view.observation.uncertain["direction_sd"][:, None])
+    seen = rotate_lights(
+        view.observation, turns * view.observation.uncertain["direction_sd"][:, None]
+    )
     return replace(view, observation=seen).samples(form)
 
 
@@ -182,7 +184,7 @@ class TurnedLights:
         return self.size <= WIDEST
 
 
-def among_turns(
+def fit_rotations(
     nominal: Optimum, view: View, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, TurnedLights]:
     """Fit parameters and light rotations in alternation until no light moves. If the rotations are
@@ -207,13 +209,13 @@ def among_turns(
     lights = TurnedLights(turns, size(turns))
     if most < lights.size <= WIDEST:
         widened = lights.size
-        wider = replace(view, observation=with_wider_directions(observation, widened))
+        wider = replace(view, observation=widen_directions(observation, widened))
         found, turns = _consistent_turns(nominal, wider, known, grouping, sensor)
         lights = TurnedLights(widened * turns, widened * size(turns), widened)
     return (found if lights.followed else nominal), lights
 
 
-def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
+def widen_directions(observation: Photographs, factor: float) -> Photographs:
     """Return the photographs with `direction_sd` multiplied by a factor."""
     sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
     return replace(observation, uncertain=sizes)
@@ -373,7 +375,7 @@ def no_more_than(robust: Robustness, model: Matrix) -> bool:
     return bool(np.all(np.diagonal(robust.covariance) <= likely * np.diagonal(model)))
 
 
-def with_stated_errors(
+def add_stated_errors(
     robust: Robustness, stated: StatedErrors, information: Matrix, known: Int[np.ndarray, " known"]
 ) -> Robustness:
     """Widen a covariance of the `known` parameters by the errors that the rig states, and adjust

@@ -39,11 +39,11 @@ from .samples import (
     Grouping,
     Prediction,
     Samples,
+    add_offset,
     average,
     cost_and_information,
     predict,
     saturated_only,
-    with_offset,
 )
 from .signal import (
     Matrix,
@@ -229,7 +229,7 @@ def weighed_and_fitted(
     and saturated samples is nearby, the search starts at this optimum and needs only two steps.
     """
     samples, spread, weights, prediction = weighed(first, samples, sensor)
-    samples = with_offset(samples, prediction) if samples.points else samples
+    samples = add_offset(samples, prediction) if samples.points else samples
     cells, saturated = average(samples, grouping, exact_at=prediction), saturated_only(samples)
     near = minimise_samples(first, [cells] if saturated is None else [cells, saturated])
     open_ = not has_lobe(samples.form.model)  # roughness may be undetermined

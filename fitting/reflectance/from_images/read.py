@@ -191,14 +191,14 @@ class Photographs:
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
         return self.dn >= self.clip
 
-    def of_pixels(self, some: slice | Bool[np.ndarray, " pixels"]) -> "Photographs":
+    def select_pixels(self, some: slice | Bool[np.ndarray, " pixels"]) -> "Photographs":
         """Return the photographs of some pixels."""
         own = {name: getattr(self, name)[some] for name in ("normals", "rows", "columns")}
         seen = {n: getattr(self, n)[:, some] for n in ("wi", "cosine", "mirror_angle", "falloff")}
         within = None if self.within is None else self.within[:, some]
         return replace(self, **own, **seen, dn=self.dn[..., some], within=within)
 
-    def of_lights(self, kept: Bool[np.ndarray, " lights"]) -> "Photographs":
+    def select_lights(self, kept: Bool[np.ndarray, " lights"]) -> "Photographs":
         """Return the photographs of some lights."""
         names = "wi", "cosine", "mirror_angle", "falloff", "reach"
         return replace(
@@ -242,7 +242,7 @@ def read_reflectance_observation(
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; read one colour at "
             f"a time, by a channel of {', '.join(COLOURS)}."
         )
-    rig, remarks = _without_odd_heads(rig)
+    rig, remarks = _drop_odd_heads(rig)
     assert rig.geometry is not None
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
@@ -299,7 +299,7 @@ def read_reflectance_observation(
     )
     _refuse_unusable(rig, observation)
     if rig.covariance is not None:
-        return with_covariance(observation, _covariance_of(rig))
+        return set_direction_covariance(observation, _covariance_of(rig))
     return observation
 
 
@@ -325,7 +325,7 @@ def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
     return across[order][:, :, order]
 
 
-def with_covariance(
+def set_direction_covariance(
     observation: Photographs, covariance: Float[np.ndarray, "lights 3 lights 3"]
 ) -> Photographs:
     """Return the photographs with uncertain light directions, whose components have the given joint
@@ -377,7 +377,7 @@ def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float
     return None
 
 
-def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
+def _drop_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
     """Return the rig without the lights whose metadata contradict those of the majority, with the
     reasons."""
     stated = [Stated(light.file, rig.path(light.file), 0.0) for light in rig.light]
@@ -678,7 +678,7 @@ def read_joint_measurement(
     rig = as_rig(rig)
     observation = read_reflectance_observation(rig, load=load, channel=channel)
     encoded = observation.gamma is not None
-    rig, findings = _without_odd_frames(rig, load)
+    rig, findings = _drop_odd_frames(rig, load)
     if encoded and rig.dark:
         findings.append(
             "The files are gamma encoded: darks, at the foot of the curve, were left out."
@@ -690,7 +690,7 @@ def read_joint_measurement(
     )
 
 
-def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
+def _drop_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
     """Return a rig without the flats and darks that deviate from the others, with the reasons."""
     sentences: list[str] = []
     camera, black = equalised_camera(rig.camera), np.zeros(0)
@@ -858,7 +858,7 @@ def from_photographs(
                 f"{len(lights)}, 4), got {together.shape}."
             )
     stated = zip(OF_LIGHTS, (intensity_sd, direction_sd, exposure_sd, stray_sd), strict=True)
-    sizes = {name: _each(name, sd, images) for name, sd in stated if sd is not None}
+    sizes = {name: _one_per_image(name, sd, images) for name, sd in stated if sd is not None}
     entries: dict[str, Any] = {"geometry": {} if sphere is None else {"sphere": sphere}}
     entries["light"] = [
         {
@@ -888,10 +888,12 @@ def from_photographs(
         return found
     scale = np.linalg.norm(lights, axis=1)
     components = together[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
-    return with_covariance(found, components)
+    return set_direction_covariance(found, components)
 
 
-def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
+def _one_per_image(
+    name: str, sd: ArrayLike, images: Sequence[ArrayLike]
+) -> Float[np.ndarray, " lights"]:
     sizes = np.asarray(plain_array(name, sd))
     if sizes.dtype.kind not in "fiu" or sizes.ndim > 1:
         raise InputError(

@@ -43,9 +43,9 @@ from .signal import (
     Matrix,
     OfSamples,
     Vector,
+    directions_from_cosines,
     encoded,
     encoding_slope,
-    in_plane,
     lobe_with_slopes,
     parameter_space,
     signal,
@@ -130,7 +130,7 @@ class View:
         def geometry_of(seen: Photographs) -> Geometry:
             normals, wi = seen.normals[pixel], seen.wi[light, pixel]
             irradiance = seen.intensity[self.channel, light] * seen.falloff[light, pixel]
-            return in_plane(
+            return directions_from_cosines(
                 np.einsum("sc,sc->s", normals, wi), normals @ VIEW, wi @ VIEW, irradiance
             )
 
@@ -153,7 +153,7 @@ class View:
         """Return the data with only the samples of every `step`-th pixel."""
         kept = self.selection.pixel % step == 0
         some = Selection(self.selection.light[kept], self.selection.pixel[kept] // step)
-        return View(self.observation.of_pixels(slice(None, None, step)), self.channel, some)
+        return View(self.observation.select_pixels(slice(None, None, step)), self.channel, some)
 
 
 def image_view(observation: Photographs, channel: int, light: int) -> View:
@@ -391,7 +391,7 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
     between = wi.x * wo.x + wi.y * wo.y + wi.z * wo.z
     cells = replace(
         samples,
-        geometry=in_plane(*map(mean, (wi.z, wo.z, between, seen.irradiance))),
+        geometry=directions_from_cosines(*map(mean, (wi.z, wo.z, between, seen.irradiance))),
         dn=mean(samples.dn),
         deviation=np.where(filled, 1 / np.sqrt(whole), UNCERTAIN),
         saturated=None,
@@ -401,10 +401,10 @@ def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None
     if exact_at is None:
         return cells
     means = replace(exact_at, dn=mean(exact_at.dn), slopes=np.stack([*map(mean, exact_at.slopes)]))
-    return with_offset(cells, means)
+    return add_offset(cells, means)
 
 
-def with_offset(samples: Samples, exact: Prediction) -> Samples:
+def add_offset(samples: Samples, exact: Prediction) -> Samples:
     """Return samples whose prediction is the value at the centre of the pixel plus a correction.
     With this correction, the prediction equals `exact` at the parameter vector of `exact`, and to
     first order near it.

@@ -101,20 +101,20 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
     ]
 
 
-def without_strangers(observation: Photographs) -> Photographs:
+def drop_strangers(observation: Photographs) -> Photographs:
     """Leave out images that are dark or saturated throughout, copies of other images, and dead
     or hot pixels. If most images agree with the stated lights, also leave out images whose shading
     contradicts the stated direction or intensity. A finding reports each omitted image. If more
     than half of the images, or all but a few, would be left out, no image is left out.
     """
-    observation = _without_dead_pixels(observation)
+    observation = _drop_dead_pixels(observation)
     reasons = {
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()
     }
     g, known = _lights_by_shading(observation)
     size = np.linalg.norm(g, axis=1)
-    off = _angles(g / size[:, None], _stated(observation))
+    off = _angles(g / size[:, None], _stated_directions(observation))
     names = list(observation.files)
     for copies in _copies(observation).found:
         places = [names.index(name) for name in copies]
@@ -142,10 +142,10 @@ def without_strangers(observation: Photographs) -> Photographs:
     if kept.all() or not enough or kept.sum() < (1 - MOST) * len(kept):
         return observation
     sentences = (f"{names[i]} was left out: {why}." for i, why in sorted(reasons.items()))
-    return replace(observation.of_lights(kept), findings=(*sentences, *observation.findings))
+    return replace(observation.select_lights(kept), findings=(*sentences, *observation.findings))
 
 
-def _without_dead_pixels(observation: Photographs) -> Photographs:
+def _drop_dead_pixels(observation: Photographs) -> Photographs:
     """Leave out pixels whose readings do not change with the light, and report them."""
     driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff
     expected = np.ptp(driven * np.maximum(observation.cosine, 0), axis=0)
@@ -159,11 +159,11 @@ def _without_dead_pixels(observation: Photographs) -> Photographs:
         f"{count} pixels of the object read the same under all lights and were left out: they are "
         "dead or hot pixels of the sensor, or black spots of the surface."
     )
-    left = observation.of_pixels(~dead)
+    left = observation.select_pixels(~dead)
     return replace(left, findings=(sentence, *observation.findings))
 
 
-def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
+def _stated_directions(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
     """Return the rig's unit directions of the lights."""
     stated = observation.wi.mean(axis=1)
     return stated / np.linalg.norm(stated, axis=1, keepdims=True)
@@ -230,7 +230,7 @@ def _direction_findings(observation: Photographs) -> list[str]:
     shown, known = directions_by_shading(observation)
     if known.sum() < 2:
         return []
-    stated = _stated(observation)
+    stated = _stated_directions(observation)
     off = float(np.median(_angles(shown, stated)[known]))
     if off < FAR:
         return _single_light_findings(observation, _angles(shown, stated), known, off)

@@ -123,7 +123,7 @@ def local_geometry(
     return Geometry(seen(wi), seen(view), jnp.asarray(irradiance), turned)
 
 
-def in_plane(
+def directions_from_cosines(
     cos_i: OfSamples, cos_o: OfSamples, between: OfSamples, irradiance: OfSamples
 ) -> Geometry:
     """Return directions with given cosines between light, normal and viewer: the viewer in the xz

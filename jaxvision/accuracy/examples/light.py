@@ -17,7 +17,7 @@ from ...files.scenes import SceneFile, read_scene
 from ...lights import RectangleLight
 from ...lights.adaptive import adaptive_irradiance
 from ...lights.polygon import rectangle_irradiance
-from ...render_command import with_resolution
+from ...render_command import change_resolution
 from ...rendering.hemisphere_integral import hemisphere_radiance, sampled_radiance
 from ...spectra import integrate_spectrum
 from ...transport import Paths, path_traced
@@ -43,7 +43,7 @@ def _box() -> SceneFile:
 
 def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
     """Make a problem of paths in the Cornell box, without the lamp, whose edges dominate."""
-    view = with_resolution(_box().view, (SIDE, SIDE))
+    view = change_resolution(_box().view, (SIDE, SIDE))
 
     def make(setting: Any) -> Callable[[jax.Array], jax.Array]:
         traced = partial(path_traced, scene=_box().scene, view=view, method=method(setting))

@@ -28,7 +28,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _found() -> Any:
+def _load_primitives() -> Any:
     """Return the module `primitives`, or None if it does not work or is switched off."""
     if os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0"):
         return None
@@ -39,7 +39,7 @@ def _found() -> Any:
     return primitives
 
 
-_primitives = _found()
+_primitives = _load_primitives()
 PLAIN = _primitives is None
 
 # Rays at once: an array of them is 64 kB in float32, and all arrays of a tile fit into the cache.
@@ -127,7 +127,7 @@ def _one_loop(*values: Array) -> Sequence[Array]:
 _fuse = None if PLAIN else _primitives.identity("fuse", _one_loop)
 
 
-def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+def run_search(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Call `function(*arguments, **named)`, a search whose results are whole numbers and flags. For
     `vmap` and derivatives, the search is a single equation without a derivative."""
     if not _helps():

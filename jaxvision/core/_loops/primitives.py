@@ -121,7 +121,7 @@ def _one_layer_more(
     return results, [0] * len(results)
 
 
-def _without_tangents(
+def _drop_tangents(
     values: Sequence[Any], tangents: Sequence[Any], **parameters: Any
 ) -> tuple[list[Array], list[Any]]:
     del tangents
@@ -135,7 +135,7 @@ _step.def_impl(_run)
 _step.def_abstract_eval(_types)
 mlir.register_lowering(_step, mlir.lower_fun(_run, multiple_results=True))
 batching.primitive_batchers[_step] = _one_layer_more
-ad.primitive_jvps[_step] = _without_tangents
+ad.primitive_jvps[_step] = _drop_tangents
 
 
 def _size_of_batch(values: Sequence[Any], axes: Sequence[int | None]) -> int:

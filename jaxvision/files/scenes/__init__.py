@@ -33,7 +33,7 @@ from ..shipped import existing_file, shipped_files
 from ..toml import checked, read_toml
 from .bands import bands_of
 from .folder import Folder
-from .schema import RenderEntry, SceneEntry, without_effect
+from .schema import RenderEntry, SceneEntry, ineffective_keys
 from .tables import light_of, material_of, reading_of, surface_of, view_of
 
 _LOG = logging.getLogger("jaxvision.scene_files")
@@ -166,7 +166,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
     kept, kept_view = as_dtype((scene, view), dtype)
     _check_rounding(file, names, light_names, (scene, view), (kept, kept_view))
-    for idle in without_effect(content, entry):
+    for idle in ineffective_keys(content, entry):
         warn(f"{file}: {idle}.")
     read = SceneFile(
         file,

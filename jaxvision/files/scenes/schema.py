@@ -85,7 +85,7 @@ def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
     return [name for name in _IDLE[integrator] if given.get(name) is not None]
 
 
-def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
+def ineffective_keys(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
     """Describe the materials and the keys of `[render]` in a file that do not change the picture,
     in one sentence each, without a full stop. `entry` is the checked content."""
     integrator = entry.render.integrator

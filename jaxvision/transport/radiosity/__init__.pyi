@@ -25,7 +25,7 @@ from .gather import (
 )
 from .patches import (
     Patches as Patches,
-    by_patch as by_patch,
+    patch_means as patch_means,
     patches_of as patches_of,
     plan_patches as plan_patches,
 )

@@ -99,9 +99,9 @@ def face_place(
             reach = [jnp.abs(x) for x in local]
             axis = jnp.where(reach[0] >= jnp.maximum(reach[1], reach[2]), 0, 1)
             axis = jnp.where(reach[2] > jnp.maximum(reach[0], reach[1]), 2, axis)
-            part = 2 * axis + (_at(axis, local) > 0).astype(axis.dtype)
+            part = 2 * axis + (_pick(axis, local) > 0).astype(axis.dtype)
             i, j = jnp.asarray(_AXES)[part]
-            u, v = ((_at(k, local) + 1) / 2 for k in (i, j))
+            u, v = ((_pick(k, local) + 1) / 2 for k in (i, j))
             return part.astype(jnp.int32), jnp.clip(u, 0, 1), jnp.clip(v, 0, 1)
         case Disc():
             frame = local_frame(normalize(shape.normal))
@@ -121,7 +121,7 @@ def face_place(
     raise TypeError(f"{type(shape).__name__} has no faces.")
 
 
-def _at(index: Int[Array, ""], values: Sequence[Scalar]) -> Scalar:
+def _pick(index: Int[Array, ""], values: Sequence[Scalar]) -> Scalar:
     first, second, third = values
     return jnp.where(index == 0, first, jnp.where(index == 1, second, third))
 

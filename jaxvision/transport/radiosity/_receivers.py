@@ -16,7 +16,7 @@ from ...core._vector import Vec, as_array, as_vec, where
 from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
 from ...scene import Scene
 from ._grid import Plan, refined
-from .patches import Patches, by_patch, patches_at
+from .patches import Patches, patch_means, patches_at
 
 _PARTS = 2  # parts along each side of an element
 _LEAST = 1e-3  # fraction of an element's area, far smaller than a part
@@ -63,7 +63,7 @@ def mean_of_parts(
     values: Float[Array, "parts n"], parts: Patches, plan: Plan
 ) -> Float[Array, "elements n"]:
     """Return the mean of values over the parts of each element, in the unit of the values."""
-    return by_patch(values, parts, refined(plan, _PARTS))
+    return patch_means(values, parts, refined(plan, _PARTS))
 
 
 def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:

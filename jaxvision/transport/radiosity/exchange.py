@@ -164,14 +164,14 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
         return jax.lax.cond((factors > 0).any(), lambda: factors * every(seen), lambda: factors)
 
     return _Pairs(
-        receivers=_in_tiles(wanted, numbers),
-        senders=_in_tiles(patches, jnp.arange(len(patches.area))),
+        receivers=_split_tiles(wanted, numbers),
+        senders=_split_tiles(patches, jnp.arange(len(patches.area))),
         counts=(len(numbers), len(patches.area)),
         factors=tile,
     )
 
 
-def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
+def _split_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
     """Divide patches and their indices into tiles. The last patch is repeated to fill the last
     tile. All real numbers are stored in one array and all integers in another, because every
     further array makes the compiled code longer."""

@@ -41,7 +41,7 @@ from ...lights import (
     rules_of,
     shifted_lattice,
 )
-from ...rendering import Along, PixelSamples, each, numbers_of, photograph
+from ...rendering import Along, PixelSamples, map_rays, numbers_of, photograph
 from ...rendering.pixel_loop import check_lens
 from ...scene import Light, Scene, Shape, View
 from ._faces import face_place
@@ -116,7 +116,7 @@ def radiosity_rays(
         own_gather = None if gather is None else reduce(rule_for, numbers, gather)
         return _along(enclosure, ray, rules, own_gather)
 
-    return each(along)
+    return map_rays(along)
 
 
 def radiosity_image(

@@ -187,7 +187,7 @@ def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
 
 
 @takes_numbers
-def by_patch(
+def patch_means(
     values: Float[Array, "elements n"], elements: Patches, plan: Plan
 ) -> Float[Array, "patches n"]:
     """Return the area-weighted mean over each patch of values that are given for its elements.

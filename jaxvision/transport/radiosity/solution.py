@@ -27,7 +27,7 @@ from ._sources import (
     sources_of,
 )
 from .exchange import form_factor_table
-from .patches import Patches, by_patch
+from .patches import Patches, patch_means
 from .solve import PatchSpectra, Product, solve_radiosity
 
 DEFAULT_RULE = Quadrature(4)
@@ -103,7 +103,7 @@ def _solved(
     shapes = shapes_of(scene)
     receivers = receivers_of(scene, plan, shapes)
     given = form_factor_table(scene, plan, rays=rays) if table is None else table
-    parts = _lit(scene, receivers.parts, rule, shapes)
+    parts = _direct_irradiance(scene, receivers.parts, rule, shapes)
     direct = mean_of_parts(parts, receivers.parts, plan)
     surface = receivers.patches.surface
     albedo = jnp.pi * diffuse_of(scene, direct)[surface]
@@ -111,15 +111,15 @@ def _solved(
     flat = jnp.asarray([isinstance(surface.shape, Quad) for surface in scene.surfaces])
     by_patches = jnp.where(flat[:, None], 0, emitted)[surface]
     by_lights = jnp.where(flat[:, None], emitted, 0)[surface]
-    first = by_patches + albedo * by_patch(direct, receivers.elements, plan)
+    first = by_patches + albedo * patch_means(direct, receivers.elements, plan)
 
     def received(leaving: PatchSpectra) -> Float[Array, "elements bands"]:
         return given(leaving) if callable(given) else given @ leaving
 
     def mean_received(leaving: PatchSpectra) -> PatchSpectra:
-        return by_patch(received(leaving), receivers.elements, plan)
+        return patch_means(received(leaving), receivers.elements, plan)
 
-    exchange = mean_received if callable(given) else by_patch(given, receivers.elements, plan)
+    exchange = mean_received if callable(given) else patch_means(given, receivers.elements, plan)
     solved = solve_radiosity(exchange, albedo, first, method=method)
     irradiance, own = received(solved), jnp.asarray(parents_of(plan))
     sent = by_patches[own] + albedo[own] * (direct + irradiance)
@@ -144,10 +144,10 @@ def direct_irradiance(
     Returns:
         (elements, bands) W m^-2.
     """
-    return _lit(scene, elements, rule, shapes_of(scene))
+    return _direct_irradiance(scene, elements, rule, shapes_of(scene))
 
 
-def _lit(
+def _direct_irradiance(
     scene: Scene, elements: Patches, rule: Rule, shapes: Sorted
 ) -> Float[Array, "elements bands"]:
     lights = sources_of(scene, largest_of(shapes))

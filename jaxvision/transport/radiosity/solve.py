@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ...core._arguments import in_range, takes_numbers
+from ...core._arguments import takes_numbers, takes_range
 from ...core._loops.fusion import one_program
 from ...core._numerics import divide, or_one
 from ...core._types import Range, Scalar, as_float, check_choice, check_shape, print_by_name
@@ -36,7 +36,7 @@ State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
 
 @takes_numbers
-@in_range(albedo=_ALBEDO)
+@takes_range(albedo=_ALBEDO)
 def solve_radiosity(
     table: Table | Product,
     albedo: PatchSpectra,
@@ -93,18 +93,18 @@ def solve_radiosity(
     if callable(table):
         if method != "iterative":
             raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
-        found = _without_table(table, albedo, sent, tolerance)
-        return _without_equilibrium(found, table(jnp.ones_like(albedo)), albedo, sent)
+        found = _solve_together(table, albedo, sent, tolerance)
+        return _mark_unbounded(found, table(jnp.ones_like(albedo)), albedo, sent)
     table = as_float(table)
     if method == "progressive":
         found = _progressive(table, albedo, sent, tolerance, limit)
     else:
         found = _solve_by_lineax(table, albedo, sent, method, tolerance)
-    return _without_equilibrium(found, table.sum(axis=1, keepdims=True), albedo, sent)
+    return _mark_unbounded(found, table.sum(axis=1, keepdims=True), albedo, sent)
 
 
 @one_program
-def _without_equilibrium(
+def _mark_unbounded(
     found: PatchSpectra, seen: Float[Array, "patches _"], albedo: PatchSpectra, sent: PatchSpectra
 ) -> PatchSpectra:
     """Return the solution `found`, but infinity in a band whose light is never absorbed, and 0 for
@@ -155,7 +155,7 @@ def _gmres(tolerance: float) -> "lineax.GMRES":
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
 
 
-def _without_table(
+def _solve_together(
     product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
 ) -> PatchSpectra:
     """Solve the radiosity equation by GMRES for all bands together, so that each product computes
@@ -169,7 +169,7 @@ def _without_table(
 
 
 @takes_numbers
-@in_range(albedo=_ALBEDO)
+@takes_range(albedo=_ALBEDO)
 @one_program
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
     """Return the radiosity B after a number of reflections, the first terms of the Neumann series,
@@ -190,7 +190,7 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
 
 
 @takes_numbers
-@in_range(albedo=_ALBEDO)
+@takes_range(albedo=_ALBEDO)
 @one_program
 def shoot(
     table: Table,
@@ -267,7 +267,7 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
 
 
 @takes_numbers
-@in_range(albedo=_ALBEDO)
+@takes_range(albedo=_ALBEDO)
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:

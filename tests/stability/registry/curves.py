@@ -292,8 +292,8 @@ ENTRIES = [
         note="a quotient of logarithms; XLA has an error of 2.5 ULP where 1 + x is rounded",
     ),
     Entry(
-        "point_ops.tone_mapping.with_luminance",
-        lambda c, a, b: point_ops.with_luminance(c[None], a, b)[0],
+        "point_ops.tone_mapping.set_luminance",
+        lambda c, a, b: point_ops.set_luminance(c[None], a, b)[0],
         lambda m, c, a, b: c * b / a,
         (RELATIVE, Range(1e-6, 1e6), Range(1e-6, 1e6)),
         bound=2,

@@ -93,7 +93,7 @@ ELSEWHERE = (
     Elsewhere(
         CHOICES,
         "test_plain_arrays",
-        "core.plain_arrays: plain_array warn_of_range with_room within_integers",
+        "core.plain_arrays: plain_array warn_of_range widen_integers within_integers",
     ),
     Elsewhere(
         FILES,
@@ -320,8 +320,9 @@ ELSEWHERE = (
             rendering.band_count: band_count
             rendering.direct: can_shade direct_along sorted_scene
             rendering.edges: moving_edges
-            rendering.maps: at_patch patch_of shading_normal summed varied_surfaces
-            rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
+            rendering.maps: evaluate_maps patch_of shading_normal summed varied_surfaces
+            rendering.pixel_loop: check_lens map_blocks map_rays mean_of_samples numbers_of
+            rendering.pixel_loop: photograph
             rendering.shading: largest_reflected lighting reflected_bands reflected_radiance
             rendering.shadows: clear samples_that_reach visible_in_order
             transport.paths: path_along

@@ -305,7 +305,7 @@ class _Reader:
                     raise InputError(f"{place} = {text!r} is neither true nor false.")
                 return text.lower() == "true"
             case "integer":
-                return _whole(text, place)
+                return _integer(text, place)
             case "float":
                 return _numbers(text, place, (1,))[0]
             case "rgb":
@@ -357,7 +357,7 @@ def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...
     return values
 
 
-def _whole(text: str, place: str) -> int:
+def _integer(text: str, place: str) -> int:
     try:
         return int(text)
     except ValueError:

@@ -117,11 +117,11 @@ def _plastic(node: Node) -> dict[str, Any]:
             )
         outside = float(mean_reflectance(Dielectric([eta]))[0])
         returned = 1 - (1 - outside) / eta**2
-        made["albedo"] = _each(made["albedo"], lambda r: r / (1 - returned * (1 - r)))
+        made["albedo"] = _map_numbers(made["albedo"], lambda r: r / (1 - returned * (1 - r)))
     return made
 
 
-def _each(spectrum: Any, change: Callable[[float], float]) -> Any:
+def _map_numbers(spectrum: Any, change: Callable[[float], float]) -> Any:
     """Apply a function to every number of a spectrum that `reflectance_of` returned."""
     match spectrum:
         case {"pairs": pairs}:
