@@ -25,7 +25,7 @@ from .regressions import MISFIT, Part, deviation_quantiles
 from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
 
-LEAST_EFFICIENCY = 1e-4  # least efficiency of any sensor in its design spectrum
+LEAST_EFFICIENCY = 1e-3  # least efficiency of any sensor in its design spectrum
 DISAGREEMENT_SIGMAS = 3.0  # standard errors from which two figures disagree
 LARGEST_GAIN_DEVIATION = 0.5  # relative deviation from which a gain is meaningless
 FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset

@@ -15,6 +15,8 @@ FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and 
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 # Standard errors by which the variance of a level must exceed that of its darks
 SIGNIFICANCE_SIGMAS = 3.0
+UNEVEN_EFFICIENCY = 0.1  # rms of the logarithm of signal over light that no camera has
+EVEN_SHARE = 0.1  # of it, that remains if the light is stated per second
 FEWEST_FOR_BLACK = 6  # levels needed to estimate the flats' black level by a parabola
 SURE_OF_BLACK = 6.0  # standard errors by which this black level must differ from the darks
 MOST_OFF_BLACK = 0.1  # of the least signal: the change of the gain by a smaller difference
@@ -110,7 +112,26 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
             f"{FEWEST_LEVELS} are needed, so add flats at lower light."
         )
+    _refuse_light_per_second(file, measurement, usable)
     _refuse_other_black(file, measurement, usable)
+
+
+def _refuse_light_per_second(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
+    """Raise InputError if the signal is proportional to the stated photons times the exposure, and
+    not to the photons: then these are stated per second."""
+    bright = measurement.bright
+    light, exposure = (np.asarray(x)[usable] for x in (bright.light, bright.exposure))
+    signal = signal_of(measurement)[usable]
+    if not measurement.photons_known or min(light.min(), exposure.min(), signal.min()) <= 0:
+        return
+    of_each, of_second = (float(np.std(np.log(signal / x))) for x in (light, light * exposure))
+    if of_each > UNEVEN_EFFICIENCY and of_second < EVEN_SHARE * of_each:
+        raise InputError(
+            f"{file}: the signal follows the stated photons times the exposure, to "
+            f"{100 * of_second:.2g} % rms, and not the photons ({100 * of_each:.2g} %), so they "
+            "are stated per second; give photons per pixel and exposure: multiply them by the "
+            "exposure."
+        )
 
 
 def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:

@@ -272,6 +272,17 @@ def test_light_that_falls_to_the_corners_makes_no_halves():
         assert not any("halves" in one or "quarters" in one for one in told)
 
 
+def test_photons_in_another_unit_are_named():
+    """Per second instead of per exposure, and a thousand times too many."""
+    frames, camera = series(1, count=2), Camera(bits=12)
+    with pytest.raises(InputError, match="so they are stated per second; give photons per pixel"):
+        from_frames(*frames, list(SECONDS), list(PHOTONS / SECONDS), camera=camera)
+    for scale in (1, 1000):
+        made = from_frames(*frames, list(SECONDS), list(scale * PHOTONS), camera=camera)
+        told = findings_of(calibrate(made))
+        assert sum("photons are stated too high" in one for one in told) == (scale > 1)
+
+
 def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
     """Light that rises by 30 % to one side; the mean is 10 standard deviations below the end."""
     flats, darks = series(3, shading=1 + np.linspace(-0.3, 0.3, 64), count=2)
