@@ -19,6 +19,9 @@ BRIGHT = 3.0  # standard deviations of noise of a pixel, above which its stated 
 LESS_NOISE = 0.7  # share of the variance, below which frames are not raw
 GONE = 0.5  # share of a master's differences, below which they were removed
 RELIABLE = 0.3  # least share of a master's differences that is not its noise
+EVEN = 0.4  # largest interquartile range of the blocks' noise in even light; .25 for pure noise
+SURE = 4.0  # standard errors of the noise in even light
+UNSURE_PATTERN = 0.1  # relative error of the variance of a stated pattern
 SIGMAS = 5.0
 
 Plane = Float[np.ndarray, "h w"]
@@ -50,13 +53,12 @@ def _sums(values: Plane) -> np.ndarray:
     return values.reshape(rows, BLOCK, columns, BLOCK).sum(axis=(1, 3))
 
 
-def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
-    """Return a frame's measured noise variance divided by its stated noise variance. The measured
-    variance comes from second differences of pixels in the smoothest parts of the frame. Only
-    pixels with enough light, and with more noise than the rounding of codes, are used. If they are
-    too few, the result is 1."""
+def noise_ratios(image: Plane, variance: Plane, codes: Plane) -> Float[np.ndarray, " blocks"]:
+    """Return the measured noise variance of each block of a frame, from second differences of its
+    pixels, divided by the stated noise variance. Only blocks with enough light, and with more noise
+    than the rounding of codes, are used. If they are too few, there are none."""
     if min(image.shape) < BLOCK + 4:
-        return 1.0
+        return np.zeros(0)
     weights = (1.0, -2.0, 1.0)
     known = [np.isfinite(one) for one in _along_both(image, weights)]
 
@@ -72,8 +74,39 @@ def noise_ratio(image: Plane, variance: Plane, codes: Plane) -> float:
     full = (pairs >= FEWEST_PAIRS) & (level > BRIGHT * np.sqrt(expected * pairs))
     full &= expected * of_codes.sum() > QUIET * pairs * found.sum()
     if np.count_nonzero(full) < FEWEST_BLOCKS:
-        return 1.0
-    return float(np.quantile(found[full] / (6 * expected[full]), SMOOTHEST))
+        return np.zeros(0)
+    return found[full] / (6 * expected[full])
+
+
+def noise_ratio(ratios: Float[np.ndarray, " blocks"]) -> float:
+    """Return the ratio of measured to stated noise variance in the smoothest blocks; 1 if there are
+    none."""
+    return float(np.quantile(ratios, SMOOTHEST)) if ratios.size else 1.0
+
+
+def looks_without_black(
+    ratios: Float[np.ndarray, " blocks"],
+    *,
+    light: float,
+    noise: float,
+    offsets: float,
+    gains: float,
+    black: float,
+) -> bool:
+    """Return whether the noise in even light is that of a signal larger by `black`, as where a
+    black level was subtracted. All are means of the frame: light and black in electrons, and the
+    variances of noise and of the fixed pattern of offsets and of gains."""
+    if not ratios.size or not light > 0:
+        return False
+    low, median, high = np.quantile(ratios, (0.25, 0.5, 0.75))
+    if high - low > EVEN * median:  # a scene, or light that is not smooth
+        return False
+    measured = float(ratios.mean()) * noise
+    by_chance = float(ratios.std()) / ratios.size**0.5 * noise
+    error = float(np.hypot(by_chance, UNSURE_PATTERN * (offsets + gains)))
+    without = noise + black + offsets + gains * (1 + black / light) ** 2
+    excess = measured - noise - offsets - gains
+    return excess > SURE * error and abs(measured - without) < min(3 * error, excess / 2)
 
 
 def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> str | None:

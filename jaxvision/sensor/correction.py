@@ -469,7 +469,8 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
         for part in own:
             near = replace(part, amplitude=_processed.middle(part.amplitude)[..., None])
             noise += np.asarray(_variance(near))[..., 0]
-        share = _processed.noise_ratio(light, noise, codes)
+        ratios = _processed.noise_ratios(light, noise, codes)
+        share = _processed.noise_ratio(ratios)
         if share < _processed.LESS_NOISE:
             _warn(
                 f"the noise of raw, at its smoothest, has {share:.2g} of the variance that the "
@@ -477,6 +478,26 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
                 "those of fewer bits, or at a lower gain; the errors are not those of such frames, "
                 "and the electrons are wrong if the numbers were scaled."
             )
+        if ratios.size and sensor.shot_noise is not None:
+            squares = {
+                one.name: float(np.nanmean(np.square(_processed.middle(one.amplitude))))
+                for one in found.parts
+            }
+            lost = expected / (1.0 if sensor.gain is None else float(sensor.gain))
+            if _processed.looks_without_black(
+                ratios,
+                light=float(np.nanmean(light)),
+                noise=float(np.nanmean(noise)),
+                offsets=squares.get("dsnu", 0.0),
+                gains=squares.get("prnu", 0.0) + squares.get("conversion_prnu", 0.0),
+                black=lost,
+            ):
+                _warn(
+                    f"the noise of raw has {float(ratios.mean()):.3g} of the variance that the "
+                    f"camera states, as if the black level of {expected:.4g} DN had been "
+                    f"subtracted before: all results are then {lost:.4g} electrons too small; give "
+                    "the numbers as the camera wrote them."
+                )
     for name, *planes in _patterns(found, masters, codes, dark):
         lacking = _processed.lacks(*planes)
         if lacking is not None:

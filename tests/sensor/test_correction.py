@@ -506,6 +506,18 @@ def test_frames_that_were_processed_are_warned_of():
     assert "lacks the pattern of masters.dark" in told_of(dim, masters=masters)
 
 
+@pytest.mark.parametrize("level", [300, 800, 1500])
+def test_black_that_was_subtracted_in_even_light_is_warned_of(level):
+    """No number is below black; the noise is that of 160 electrons more."""
+    for seed in range(3):
+        rng, shape = np.random.default_rng(seed), (128, 128)
+        light = rng.poisson(level * (1 + 0.01 * rng.normal(size=shape)) + 2)
+        charge = light + 5 * rng.normal(size=shape) + 2 * rng.normal(size=shape)
+        raw = np.round(0.4 * charge + 64)
+        assert told_of(raw) == ""
+        assert "are then 162 electrons too small" in told_of(raw - 64)
+
+
 def test_mirrored_frames_are_warned_of():
     frame, dark, flat = processed_frames()
     masters = jv.Masters(dark=js.Master(dark[..., None], 64), flat=js.Master(flat[..., None], 64))
