@@ -655,7 +655,8 @@ def require_one_file_each(where: str, names: Sequence[str]) -> None:
         same = [name for name in alike if stems[name] == stems[alike[0]]]
         raise InputError(
             f"{' and '.join(same)} in {where} are files of one name, as of one photograph in two "
-            "formats; list the one with the camera's own numbers."
+            "formats; list the one with the camera's own numbers, or rename one if they are two "
+            "exposures."
         )
 
 

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, takes_range
@@ -14,7 +15,10 @@ from ..core._numerics import (
     safe_log,
     smallest_divisor,
 )
-from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
+from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, is_known, refuse_codes
+from ..core._warnings import warn_caller
+
+MANY = 0.05  # share of black pixels from which the log-average of the rest is wrong by a half
 
 
 @takes_numbers
@@ -84,12 +88,26 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
     luminance = as_relative(luminance)
     if luminance.size == 0:
         raise ValueError(f"luminance must have at least one pixel, got shape {luminance.shape}.")
+    _warn_of_black(luminance)
     known = jnp.isfinite(luminance)
     relative = luminance / magnitude(jnp.where(known, luminance, 0), axis=None)
     of_black = smallest_divisor(relative.dtype) ** 2
     floor = jnp.maximum(1e-6 * jnp.mean(relative, where=known), of_black)
     average = jnp.exp(jnp.mean(safe_log(jnp.maximum(relative, floor)), where=known))
     return relative * (key_value / average)
+
+
+def _warn_of_black(luminance: Array) -> None:
+    """Warn if many values are black, which moves the log-average far below the rest."""
+    if not is_known(luminance):
+        return
+    black = float(np.mean(np.asarray(luminance) <= 0))
+    if MANY < black < 1:
+        warn_caller(
+            f"{black:.0%} of the luminance is at or below 0, as in borders or noise about 0, and "
+            "counts as 1e-6 of the mean in the log-average, so that the rest becomes much brighter "
+            "than the key; set such values to NaN to leave them out, or crop the picture."
+        )
 
 
 @takes_numbers

@@ -277,6 +277,19 @@ def test_key_of_a_picture():
     np.testing.assert_allclose(scaled_to_key(jnp.asarray(holes)), expected, rtol=1e-13)
 
 
+def test_black_pixels_that_move_the_key_are_named():
+    """A fifth of the picture is a black border: the rest becomes 16 times as bright."""
+    luminance = RNG.uniform(0.5, 1.0, size=(10, 10))
+    whole = scaled_to_key(jnp.asarray(luminance))
+    bordered = np.where(np.arange(10)[:, None] < 2, 0, luminance)
+    with pytest.warns(UserWarning, match="20% of the luminance is at or below 0"):
+        brighter = scaled_to_key(jnp.asarray(bordered))
+    assert 10 < float(brighter[5, 5] / whole[5, 5]) < 20
+    left_out = scaled_to_key(jnp.asarray(np.where(bordered > 0, bordered, np.nan)))
+    expected = 0.18 * luminance[2:] / np.exp(np.mean(np.log(luminance[2:])))
+    np.testing.assert_allclose(left_out[2:], expected, rtol=1e-12)
+
+
 def test_log_curve_ends():
     x = jnp.asarray([-1.0, 0.0, 1.0, 1e-8])
     np.testing.assert_allclose(
