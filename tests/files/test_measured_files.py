@@ -373,3 +373,15 @@ def test_a_merl_file_in_another_unit_is_named(factor, words, tmp_path):
         files.read_merl(tmp_path / "a.binary")
     assert len(said) == (words is not None)
     assert re.search(words or "", " ".join(str(one.message) for one in said))
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1, False), (np.pi, True), (100, True)])
+def test_radiance_factors_in_a_cornell_file_are_named(factor, named, tmp_path):
+    """A white paint of albedo .85."""
+    angles = [(a, 0.3, b, 3.0) for a in (0.2, 0.8) for b in np.linspace(0, 1.5, 60)]
+    rows = [" ".join(map(str, (*four, factor * 0.85 / np.pi))) for four in angles]
+    (tmp_path / "a.brdf").write_text("\n".join(["1", "550", *rows]))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        files.read_cornell(tmp_path / "a.brdf")
+    assert any("radiance factors" in str(one.message) for one in said) == named

@@ -15,10 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...brdf.measured import BRDFSamples
+from ...core._warnings import warn
 from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import LEAST_NANOMETRES, NANOMETRE, TURN, contents_of, representable
 
+MANY = 100  # samples from which their median is looked at
+BRIGHTEST = 1.3  # largest reflectance, with the errors of measured ones
 Row = tuple[int, list[float]]  # the number of its line, and its numbers
 
 
@@ -40,6 +43,13 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
     _check_samples(file, rows, bands=len(wavelengths))
     table = np.array([row for _, row in rows])
     theta_i, phi_i, theta_s, phi_s = jnp.asarray(table[:, :4].T)
+    usual = float(np.median(table[:, 4:], axis=0).max())
+    if len(table) >= MANY and usual * np.pi > BRIGHTEST:
+        warn(
+            f"{file}: half of its values are above {usual:.3g} sr^-1, with which a matt surface "
+            f"reflects {usual * np.pi:.0%} of the light; radiance factors (pi f_r) or per cent are "
+            "to be converted to f_r."
+        )
     values, metres = jnp.asarray(table[:, 4:]), jnp.asarray(wavelengths) * NANOMETRE
     return BRDFSamples(theta_i, phi_i, theta_s, phi_s, values, metres)
 
