@@ -58,6 +58,8 @@ _ONE_VALUE = 0.2  # share of pixels with one value on a side without noise
 _CONDITION = 1e4  # largest condition number of the normal matrix
 _CHANCE = 1e-3
 _REPORTED_DIFFERENCE = 0.005  # smallest difference of the transfer that is reported
+_OVERSHOOT, _SURE_OF_OVERSHOOT = 0.005, 6.0  # of the edge, and standard errors
+_OVERSHOOT_REACH = 6.0  # pixels from the edge
 _TINY = 1e-30
 _NODES = 32
 _ANGLES = np.pi * np.arange(1, _NODES + 1) / (_NODES + 1)
@@ -634,8 +636,8 @@ def _findings(
             yield sentence
     if result.fit.failures:
         yield (
-            "The fit may have missed the best edge. Causes are wrong pixels (mark them as NaN) or "
-            "a second edge in the region."
+            "The fit may have missed the best edge. Causes are wrong pixels (mark them as NaN), a "
+            "second edge in the region, sharpening, or light whose unevenness is no plane."
         )
     for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
         share = np.mean(pixels.value == value)
@@ -675,6 +677,15 @@ def _findings(
         yield (
             f"The MTF is {result.otf[np.argmax(over)]:.2f}, above 1, at "
             f"{result.frequency[np.argmax(over)]:.2f} cycles per pixel: the picture was sharpened."
+        )
+    beyond = np.maximum(result.spread - 1, -result.spread)
+    place = int(np.argmax(beyond / result.spread_sd))
+    near = abs(result.distance[place]) < _OVERSHOOT_REACH
+    if near and beyond[place] > max(_OVERSHOOT, _SURE_OF_OVERSHOOT * result.spread_sd[place]):
+        yield (
+            f"The edge spread overshoots a level by {beyond[place]:.1%} of the edge, "
+            f"{abs(result.distance[place]):.2g} pixels from it, which no blur of light does: the "
+            "picture was sharpened, and width and MTF are those of the sharpened picture."
         )
     ends = np.array([result.spread[0], 1 - result.spread[-1]])
     error = np.array([result.spread_sd[0], result.spread_sd[-1]])

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.stats import chi2, norm
 
 import jaxvision as jv
@@ -148,6 +149,15 @@ def test_a_plane_of_a_mosaic_needs_no_demosaicing():
         assert width.standard_error < 0.1
 
 
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+def test_an_edge_that_overshoots_was_sharpened(share):
+    """Also where the MTF stays below 1, as with an unsharp mask of .6."""
+    raw = noisy(expected((64, 64), 5.0, 0.0, 0.7), np.random.default_rng(8))
+    sharp = raw + share * (raw - ndimage.gaussian_filter(raw, 1.0))
+    told = " ".join(resolution.from_edge(sharp).findings)
+    assert ("overshoots a level by" in told) == (share > 0)
+
+
 @pytest.mark.slow
 def test_sharpening_smoothing_and_the_psf_are_told():
     rng = np.random.default_rng(6)
@@ -157,10 +167,8 @@ def test_sharpening_smoothing_and_the_psf_are_told():
     assert psf.sum() == pytest.approx(1)
     assert psf[4, 4] == pytest.approx((2 * norm.cdf(0.5 / 0.7) - 1) ** 2, abs=0.04)
     assert str(found)
-    from scipy.ndimage import gaussian_filter
-
     raw = noisy(mean, rng)
-    sharp = raw + 1.5 * (raw - gaussian_filter(raw, 1.0))
+    sharp = raw + 1.5 * (raw - ndimage.gaussian_filter(raw, 1.0))
     told = " ".join(resolution.from_edge(sharp).findings)
     assert "sharpened" in told
     assert "errors of neighbouring pixels are correlated" in told
