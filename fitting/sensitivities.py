@@ -44,6 +44,7 @@ _MODEL_ERROR = 1e-4  # share of the largest reading: least error of any model of
 _LEAST_GAIN = 5.0
 _MISFIT_RATIO = 1.3  # ratio of residuals to the stated noise from which a misfit is reported
 _NEGATIVE = 2.0  # ratio of residuals to the fitted noise that sensitivities above 0 do not explain
+_FEWEST_EQUAL = 2  # equal largest readings that count as clipped; one more of whole numbers
 _COARSE = 0.05  # share of the largest reading: larger residuals are no noise of a photograph
 _CAUSES = (
     "Causes are uneven light, a gamma, a black level, stray light, clipped patches, or spectra "
@@ -231,7 +232,9 @@ def from_patches(
 
     Args:
         readings: (patches, channels) readings, NaN where saturated.
-        light: (patches, bands) spectrum of each patch, the same unit for all.
+        light: (patches, bands) spectrum of each patch, the same unit for all. If the stated light
+            is wrong by a factor that varies smoothly over wavelength, the curves are wrong by its
+            inverse. Readings under one light do not show this, readings under two lights do.
         wavelengths: (bands,) m, increasing.
         sd: (patches, channels), (patches, 1) or () standard deviations of the readings. None
             estimates one for each channel from its residuals.
@@ -282,6 +285,7 @@ def from_patches(
     found, lengths, noises, sentences = [], [], [], []
     for i, name in enumerate(names):
         kept = np.isfinite(y[:, i])
+        sentences += _clipped_in_words(name, y[kept, i])
         if kept.sum() < _FEWEST:
             raise InputError(f"{name}: {kept.sum()} readings are numbers; give at least {_FEWEST}.")
         if not spectra[kept].any():
@@ -316,6 +320,19 @@ def from_patches(
     return Sensitivities(
         at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(sentences)
     )
+
+
+def _clipped_in_words(name: str, readings: np.ndarray) -> list[str]:
+    """Return a sentence if several readings are equal to the largest one, as where they are clipped
+    (NaN excludes them); whole numbers may be equal by chance."""
+    count = int(np.sum(readings == readings.max(initial=-np.inf)))
+    whole = np.array_equal(readings, np.round(readings))
+    if count < _FEWEST_EQUAL + whole or not readings.max() > 0:
+        return []
+    return [
+        f"{name}: {count} readings are equal to the largest, {readings.max():.4g}: if they are "
+        "clipped, the curve is too low; give NaN for clipped readings."
+    ]
 
 
 def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:

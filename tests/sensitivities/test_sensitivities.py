@@ -114,6 +114,20 @@ def test_readings_that_no_sensitivity_explains_are_named(change, said, stated):
     assert all(said in one for one in found.findings)
 
 
+def test_clipped_readings_are_named():
+    """In green alone; 8-bit readings of which two are equal by chance are not clipped."""
+    readings, _ = chart(camera(NAMES[0]), 0)
+    most = 0.6 * readings.max()
+    for seen, said in (
+        (np.minimum(readings, most), ["green: 2 readings are equal to the largest"]),
+        (np.minimum(np.round(255 * readings / readings.max()), 255), []),
+    ):
+        of = {"sd": 0.02 * seen.max(), "draws": 20}
+        found = sensitivities.from_patches(seen, CHART * DAY, 1e-9 * NM, **of)
+        told = [one for one in found.findings if "equal to the largest" in one]
+        assert [one.split(",")[0] for one in told] == said
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
