@@ -33,7 +33,7 @@ from ..observation import require_as_many, require_several_images
 from ..rig import SiteCamera
 from .file import Lights
 from .highlight import Highlight, highlight_of, reflected
-from .matte import odd_image, shading_of
+from .matte import Shading, moved_image, odd_image, shading_of
 from .outline import Lens, Outline, centre_of, edge_beside_mask, outline_of
 
 Kind = Literal["mirror", "matte"]
@@ -374,20 +374,19 @@ def _locate_by_shading(
     names: list[str],
 ) -> Lights:
     found, gone = shading_of(signals, ball, clip, outline, names=names), []
-    while len(names) > FEWEST and (odd := odd_image(found, 0.0)) is not None:
-        kept = [i for i in range(len(names)) if i != odd]
-        rest = shading_of(signals[kept], ball, clip, outline, names=[names[i] for i in kept])
-        known = replace(outline, values=rest.values, covariance=1e-6 * outline.covariance)
-        whole = shading_of(signals, ball, clip, known, names=names)  # the outline of the others
-        if odd_image(whole, SPREADS) != odd:
+    while len(names) > FEWEST:
+        for differs in (odd_image, moved_image):
+            if (odd := differs(found, 0.0)) is None:
+                continue
+            kept = [i for i in range(len(names)) if i != odd]
+            rest = shading_of(signals[kept], ball, clip, outline, names=[names[i] for i in kept])
+            known = replace(outline, values=rest.values, covariance=1e-6 * outline.covariance)
+            whole = shading_of(signals, ball, clip, known, names=names)  # the outline of the others
+            if differs(whole, SPREADS) == odd:
+                break
+        else:
             break
-        level = whole.offset[odd] - np.median(whole.offset)
-        share = abs(level) / float(np.linalg.norm(whole.g[odd]))
-        gone.append(
-            f"{names[odd]} was left out: compared with the other images, it has {level:+.3g} DN on "
-            f"all of the ball ({format_percent(share)} of its signal). Its black level, bit depth "
-            "or gamma differs, a shadow or other light fell on the ball, or it moved."
-        )
+        gone.append(_left_out_finding(names[odd], whole, odd, moved=differs is moved_image))
         signals, names, found = signals[kept], [names[i] for i in kept], rest
     size = np.linalg.norm(found.g, axis=1)
     toward = found.g / size[:, None]
@@ -443,6 +442,22 @@ def _locate_by_shading(
         )
     values, sds = found.values[None], np.sqrt(np.diag(found.outline_covariance))[None]
     return _add_covariances(names, toward, size, shared, own, False, values, sds, findings)
+
+
+def _left_out_finding(name: str, whole: Shading, odd: int, *, moved: bool) -> str:
+    if moved:
+        return (
+            f"{name} was left out: by its shading, the ball is {np.hypot(*whole.shift[odd]):.1f} "
+            "pixels from its place in the other images. The ball or the camera moved, or the image "
+            "is rotated."
+        )
+    level = whole.offset[odd] - np.median(whole.offset)
+    share = abs(level) / float(np.linalg.norm(whole.g[odd]))
+    return (
+        f"{name} was left out: compared with the other images, it has {level:+.3g} DN on "
+        f"all of the ball ({format_percent(share)} of its signal). Its black level, bit depth "
+        "or gamma differs, a shadow or other light fell on the ball, or it moved."
+    )
 
 
 def _about_mean(

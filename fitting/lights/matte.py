@@ -36,6 +36,8 @@ UNLIT = 0.1  # -n.l of pixels that should read black
 SMALL = 0.002  # of the largest signal: a reading of the unlit side too small to matter
 SHOWN = 50.0  # chi-square of three numbers from which room light is called uneven
 SECTORS, RINGS = 8, 3
+MOVED = 1.0  # pixels, least distance of a ball that moved
+WIDE = 10.0  # pixels, standard deviation of that distance before the image is seen
 ODD = 0.01  # of the largest signal: least constant of an image that differs from the others
 CLEAR = 5.0  # standard errors from which the power differs from 1
 POWERS = 0.4, 2.5  # range of the power
@@ -54,6 +56,9 @@ class Shading:
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
         offset: (lights,) constant that each image alone would add to its g.n, DN.
+        shift: (lights, 2) displacement of the ball in each image alone from the shared outline,
+            columns and rows, pixels.
+        shift_sd: (lights,) its standard deviation, pixels.
         floor: level of pixels that face away from the lights, DN above black; it was subtracted.
         power: fitted power of n.l, 1 for Lambert's law.
         power_sd: its standard error.
@@ -72,6 +77,8 @@ class Shading:
     misfit: float
     effect: float
     offset: Float[np.ndarray, " lights"]
+    shift: Float[np.ndarray, "lights 2"]
+    shift_sd: Float[np.ndarray, " lights"]
     floor: float = 0.0
     power: float = 1.0
     power_sd: float = 0.0
@@ -105,6 +112,17 @@ def shading_of(
     if not abs(free.power - 1) > CLEAR * free.power_sd:
         return found
     return replace(found, moved=free.g - found.g)
+
+
+def moved_image(found: Shading, spreads: float) -> int | None:
+    """Return the image whose ball lies farthest from the outline that all share, by its shading
+    alone; None if all agree."""
+    size = np.hypot(*found.shift.T)
+    worst = int(np.argmax(size))
+    clear = size[worst] > max(
+        MOVED, spreads * float(np.median(size)), CLEAR * found.shift_sd[worst]
+    )
+    return worst if clear else None
 
 
 def odd_image(found: Shading, spreads: float) -> int | None:
@@ -208,6 +226,10 @@ def _shading(
         if free_power:
             power = float(np.clip(power + step[3], *POWERS))
     covariance = np.linalg.inv(information)
+    usual = max(float(np.median([part.effect for part in parts])), 1.0)
+    alone = np.array([part.information[:3, :3] for part in parts]) / usual + np.eye(3) / WIDE**2
+    pulls = np.array([part.pull[:3] for part in parts]) / usual
+    alone = np.linalg.inv(alone)
     return Shading(
         values,
         covariance[:3, :3],
@@ -217,6 +239,8 @@ def _shading(
         float(np.median([part.misfit for part in parts])),
         effect,
         np.array([part.offset for part in parts]),
+        np.einsum("lij,lj->li", alone, pulls)[:, :2],
+        np.sqrt(np.einsum("lii->l", alone[:, :2, :2])),
         power=power,
         power_sd=float(np.sqrt(covariance[-1, -1])) if free_power else 0.0,
     )

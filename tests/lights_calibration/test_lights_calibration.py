@@ -558,3 +558,17 @@ def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_loses_a_small_room_lig
     apart = np.linalg.norm(found.places - unlit.places, axis=1)
     assert apart.max() < 0.4 * np.median(unlit.place_sd)  # 12 before
     assert not any("face away" in sentence for sentence in found.findings)
+
+
+def test_an_image_that_was_rotated_is_left_out():
+    """By a quarter turn: its light was 72 degrees off at .06, because the constant that it alone
+    asks for is small. The mirror ball's edge moves, and its image is refused."""
+    images, mask, truth, _ = simulated("matte", 2)
+    images[3] = np.rot90(images[3])
+    found = calibrate(images, [mask], camera=CAMERA, kind="matte")
+    assert any("images[3] was left out: by its shading" in s for s in found.findings)
+    assert np.abs(standardised(found, np.delete(truth, 3, axis=0))[0]).max() < 4
+    images, mask, _, _ = simulated("mirror", 2)
+    images[3] = np.rot90(images[3])
+    with pytest.raises(InputError, match=r"images\[3\]: shows ball 0 at"):
+        calibrate(images, [mask], camera=CAMERA, kind="mirror")
