@@ -471,7 +471,7 @@ def _unsaturated(calibration: NoiseCalibration) -> Numbers | None:
 def _long_exposures(calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding that exposures are read as seconds; None if those of the
     flats are short, or if there is no dark current."""
-    bright, current = calibration.measurement.bright, calibration.shown.get("dark_current")
+    bright, current = calibration.measurement.bright, calibration.estimates.get("dark_current")
     times, frames = np.asarray(bright.exposure), np.asarray(bright.frames)
     if current is None or not current.value or times.max() < LONG_EXPOSURE:
         return None
