@@ -113,6 +113,8 @@ STATIC = {
     "jaxvision.rendering.maps.varied_surfaces",
     "jaxvision.rendering.direct.sorted_scene",
     "jaxvision.rendering.edges.moving_edges",
+    "jaxvision.rendering.edges.grazing_cosines",
+    "jaxvision.rendering.edges.damped",
     "jaxvision.rendering.pixel_loop.map_rays",
     "jaxvision.rendering.pixel_loop.map_blocks",
     "jaxvision.rendering.pixel_loop.mean_of_samples",

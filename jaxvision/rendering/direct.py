@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..core._loops.fusion import entries_per_step, fuse
 from ..core._loops.groups import group_by_structure, take
@@ -35,7 +35,7 @@ from ..lights import (
 from ..lights.environment_quadrature import warn_of_skies
 from ..lights.near_rectangles import warn_of_near_surfaces
 from ..scene import Light, Material, Scene, Surface, TriangleMesh, View
-from .edges import Edges, moving_edges
+from .edges import Edges, damped, grazing_cosines, moving_edges
 from .maps import Patch, Varied, evaluate_maps, patch_of, shading_normal, summed, varied_surfaces
 from .pixel_loop import (
     Along,
@@ -98,9 +98,13 @@ class SortedScene(eqx.Module):
     varied: Varied | None = None  # the surfaces with maps
     # of all surfaces, with summed-area tables for maps; None for the scene's own materials
     materials: tuple[Material, ...] | None = None
+    # of all surfaces, see `edges.damped`; None without moving edges
+    grazing: Float[Array, " n"] | None = None
 
 
-def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
+def sorted_scene(
+    scene: Scene, *, wide: bool = False, grazing: Float[Array, " n"] | None = None
+) -> SortedScene:
     """Sort the shapes of a scene once for all rays, and prepare its maps; lengths in m. With
     `wide`, maps are prepared for averages over the footprint of a pixel."""
     shapes = sorted_shapes([surface.shape for surface in scene.surfaces])
@@ -111,9 +115,11 @@ def sorted_scene(scene: Scene, *, wide: bool = False) -> SortedScene:
         )
     if scene.occluders is None:
         blocking = shapes if can_shade(scene.surfaces) else None
-        return SortedScene(shapes, blocking, varied, materials)
+        return SortedScene(shapes, blocking, varied, materials, grazing)
     blocking = [scene.surfaces[i].shape for i in scene.occluders]
-    return SortedScene(shapes, sorted_shapes(blocking) if blocking else None, varied, materials)
+    return SortedScene(
+        shapes, sorted_shapes(blocking) if blocking else None, varied, materials, grazing
+    )
 
 
 class Met(eqx.Module):
@@ -128,18 +134,24 @@ class Met(eqx.Module):
 
 
 def _met(
-    scene: Scene, shapes: SortedScene, seen: Ray | PixelRay, known: Encounter | None = None
+    scene: Scene,
+    shapes: SortedScene,
+    seen: Ray | PixelRay,
+    known: Encounter | None = None,
+    hit: Hit | None = None,
 ) -> Met:
-    """Find the point where a ray hits a surface. `known` is the result of the ray's intersection
-    test, if it was computed before."""
+    """Find the point where a ray hits a surface. `known` and `hit` are the results of the ray's
+    intersection test and of `hit_shape`, if they were computed before."""
     wide = seen if isinstance(seen, PixelRay) else None
     ray = seen.ray if isinstance(seen, PixelRay) else seen
     encounter = known or checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
-    hit = fuse(hit_shape(ray, shapes.shapes, encounter))
+    met: Hit = fuse(hit_shape(ray, shapes.shapes, encounter)) if hit is None else hit
+    if shapes.grazing is not None:
+        met = damped(met, ray, encounter, shapes.grazing)
     patch = None
     if shapes.varied is not None:
-        patch = patch_of(shapes.varied, encounter.shape, encounter.primitive, hit, seen=wide)
-    return Met(ray, encounter, hit, patch, *_facing(scene, ray, encounter.shape, hit, patch))
+        patch = patch_of(shapes.varied, encounter.shape, encounter.primitive, met, seen=wide)
+    return Met(ray, encounter, met, patch, *_facing(scene, ray, encounter.shape, met, patch))
 
 
 def _along(
@@ -148,10 +160,11 @@ def _along(
     seen: Ray | PixelRay,
     rules: tuple[Rule, ...],
     known: Encounter | None = None,
+    hit: Hit | None = None,
 ) -> Colour:
-    """Compute `radiance_along` for one of many rays, with sorted shapes. `known` is as in
-    `_met`."""
-    met = _met(scene, shapes, seen, known)
+    """Compute `radiance_along` for one of many rays, with sorted shapes. `known` and `hit` are as
+    in `_met`."""
+    met = _met(scene, shapes, seen, known, hit)
     light = lighting(
         scene.lights,
         met.hit.point,
@@ -238,7 +251,12 @@ def _emission_of(emissions: list[Colour | None], index: Int[Array, ""]) -> Colou
 
 
 def direct_along(
-    scene: Scene, rule: Rule, *, wide: bool = False, threshold: Scalar | float | None = None
+    scene: Scene,
+    rule: Rule,
+    *,
+    wide: bool = False,
+    threshold: Scalar | float | None = None,
+    grazing: Float[Array, " n"] | None = None,
 ) -> Along:
     """Return `radiance_along` as a function of a block of rays, in the form that `photograph`
     calls.
@@ -249,11 +267,13 @@ def direct_along(
             anew for each pixel and sample.
         wide: whether each ray is a `PixelRay`, over whose width maps are averaged.
         threshold: as in `render`.
+        grazing: (n,) cosines below which `edges.damped` acts, for each surface; None without moving
+            edges.
 
     Returns:
         A function from a block of rays to (n, bands) W m^-2 sr^-1.
     """
-    shapes = sorted_scene(scene, wide=wide)
+    shapes = sorted_scene(scene, wide=wide, grazing=grazing)
 
     def along(ray: Ray | PixelRay, stream: Stream) -> Colour:
         return _along(scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream)))
@@ -401,15 +421,15 @@ def render(
     warn_of_skies(scene.lights, rules, CURE)
     warn_of_near_surfaces(scene.lights, rules, scene.surfaces, CURE_NEAR)
     wide = samples is None and varied_surfaces(scene) is not None
-    along = direct_along(scene, rule, wide=wide, threshold=threshold)
-    radiance = photograph(along, view, samples, keep=(TRACED,), wide=wide).radiance
+    grazing = None if edges is None else grazing_cosines(scene, view)
+    along = direct_along(scene, rule, wide=wide, threshold=threshold, grazing=grazing)
+    traced = photograph(along, view, samples, keep=(TRACED,), wide=wide)
     if edges is None:
-        return radiance
+        return traced.radiance
 
-    def seen(scene: Scene, ray: Ray, met: Encounter, number: Array) -> Colour:
-        return _along(
-            scene, sorted_scene(scene), ray, rules_of(scene, rule, numbers=(number,)), met
-        )
+    def seen(scene: Scene, ray: Ray, met: Encounter, number: Array, hit: Hit | None) -> Colour:
+        own = rules_of(scene, rule, numbers=(number,))
+        return _along(scene, sorted_scene(scene), ray, own, met, hit)
 
     def under(
         scene: Scene, ray: Ray, met: Encounter, hit: Hit, arriving: Incident
@@ -420,6 +440,13 @@ def render(
         lamp = DirectionalLight(as_array(arriving.direction), arriving.irradiance)
         return _reflected(scene, lighting([lamp], hit.point, leaving), ray, met, normal, patch)
 
-    own = {"bands": radiance.shape[-1], "sampled": samples is not None}
+    def pixels(
+        scene: Scene, view: View, place: tuple[Array, Array], samples: PixelSamples, first: Array
+    ) -> Array:
+        own = {"threshold": threshold, "grazing": grazing_cosines(scene, view)}
+        along = direct_along(scene, rule, **own)
+        return photograph(along, view, samples, pixels=place, first_sample=first).radiance
+
     rules = rules_of(scene, rule) if can_shade(scene.surfaces) else None
-    return radiance + moving_edges(scene, view, edges, seen, under, rules, **own)
+    own = {"error": jax.lax.stop_gradient(traced.error), "samples": samples}
+    return traced.radiance + moving_edges(scene, view, edges, seen, under, rules, pixels, **own)

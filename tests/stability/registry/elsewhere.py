@@ -319,7 +319,7 @@ ELSEWHERE = (
         """
             rendering.band_count: band_count
             rendering.direct: can_shade direct_along sorted_scene
-            rendering.edges: moving_edges
+            rendering.edges: moving_edges grazing_cosines damped
             rendering.maps: evaluate_maps patch_of shading_normal summed varied_surfaces
             rendering.pixel_loop: check_lens map_blocks map_rays mean_of_samples numbers_of
             rendering.pixel_loop: photograph
