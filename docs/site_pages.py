@@ -7,6 +7,7 @@ import inspect
 import pydoc
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 from docutils import nodes
@@ -209,6 +210,7 @@ def setup(app):
     pages = reference_pages(HERE / "reference")
     places = {id(value): name for page in pages.values() for name, value in page.items()}
 
+    @cache
     def entry_of(name):
         module, _, last = name.rpartition(".")
         try:

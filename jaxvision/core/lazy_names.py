@@ -5,6 +5,7 @@ import difflib
 import re
 import sys
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ def names_of(package: str, file: str) -> Attached:
         new = renamed(f"{package}.{name}")
         if new is not None:
             return load(new)
-        where = None if name.startswith("_") else _home(package, Path(file).parent, name)
+        where = None if name.startswith("_") else _homes(package, Path(file).parent).get(name)
         near = difflib.get_close_matches(name, offered, n=1)
         if where and where.removeprefix(f"{package}.") in offered:
             hint = f"it is {where}.{name}"
@@ -57,21 +58,23 @@ def _is_module(file: Path, name: str) -> bool:
     return file.with_name(f"{name}.py").exists() or (file.parent / name / "__init__.py").exists()
 
 
-def _home(package: str, folder: Path, name: str) -> str | None:
-    """Return the subpackage that exports a name, or the public submodule that defines it, or
-    None."""
-    listed = re.compile(rf"\bas {re.escape(name)}\b")
+@cache
+def _homes(package: str, folder: Path) -> dict[str, str]:
+    """Return, for each name, the subpackage that exports it, or the public submodule that defines
+    it."""
+    exported: dict[str, str] = {}
     for stub in sorted(folder.glob("*/__init__.pyi")) + sorted(folder.glob("*/*/__init__.pyi")):
-        if listed.search(stub.read_text()):
-            return ".".join((package, *stub.parent.relative_to(folder).parts))
-    defined = re.compile(rf"^(?:def|class) {re.escape(name)}\b", re.MULTILINE)
+        home = ".".join((package, *stub.parent.relative_to(folder).parts))
+        for name in re.findall(r"\bas (\w+)\b", stub.read_text()):
+            exported.setdefault(name, home)
+    defined: dict[str, str] = {}
     for module in sorted(folder.rglob("*.py")):
         inner = module.relative_to(folder).with_suffix("").parts
         if any(part.startswith("_") for part in inner) or not _is_offered(folder, inner):
             continue
-        if defined.search(module.read_text()):
-            return ".".join((package, *inner))
-    return None
+        for name in re.findall(r"^(?:def|class) (\w+)", module.read_text(), re.MULTILINE):
+            defined.setdefault(name, ".".join((package, *inner)))
+    return defined | exported
 
 
 def _is_offered(folder: Path, inner: tuple[str, ...]) -> bool:
