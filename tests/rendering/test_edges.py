@@ -132,6 +132,7 @@ def test_nothing_is_computed_where_no_edge_moves():
 NARROW = np.array([0.05, 0, 1]) / np.hypot(0.05, 1)  # direction of a quad's side toward the camera
 
 
+@pytest.mark.slow
 def test_a_narrow_face_needs_few_samples():
     """A quad seen at a grazing angle, 0.3 x 6 pixels in the picture, moves toward a lamp."""
     corner, along = np.array([0.03, -1.5, -1.5]), np.array([0, 3.0, 0])
@@ -158,6 +159,7 @@ def test_a_narrow_face_needs_few_samples():
     np.testing.assert_allclose(found, (closed(1e-4) - closed(-1e-4)) / 2e-4, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_rim_of_a_small_ball():
     """Half of a Lambert ball, lit from the side, gives 2 / 3 of R^2 times its BRDF."""
 
