@@ -35,6 +35,7 @@ OTHER = words("""
 *.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar
 *.ray_options.paths *.matte_errors.* *.MatteErrors.* *.maps.Patch.steps
 *.zernike.count *.wavefront_kernel.samples *.Wavefront.samples *.Edges.nodes
+*.moving_edges.samples
 """)
 
 

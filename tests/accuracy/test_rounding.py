@@ -44,6 +44,7 @@ FORMS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", FORMS)
 def test_digits_are_those_of_float32_against_many(name):
     """Within a digit of the error of float32 at 20 near numbers."""
@@ -87,6 +88,7 @@ def test_loops_branches_trees_and_refusals():
             digits(jax.jit(lambda x, narrow=narrow: x.astype(narrow).astype(jnp.float32)), X)
 
 
+@pytest.mark.slow
 def test_each_turn_of_a_loop_is_rounded():
     """A running sum of 1000 numbers against float64, over 20 draws."""
     draws = np.random.default_rng(0).uniform(1, 2, (20, 1000)).astype(np.float32)

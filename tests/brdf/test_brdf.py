@@ -28,7 +28,7 @@ def direction(theta, phi=0.0):
     )
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_squared_angle_in_ulps_and_its_gradient(dtype):
     """From nothing to opposite directions, against the angle of the very numbers in 50 digits."""

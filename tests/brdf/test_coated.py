@@ -28,6 +28,7 @@ def towards(theta, phi=0.0):
 VIEWS = towards(np.arccos(COSINES))
 
 
+@pytest.mark.sweep
 @distributions
 def test_white_furnace(distribution):
     """The albedo of the library's own quadrature, of the interface 32 x 64 nodes, which the fitted
@@ -80,7 +81,7 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
         assert float(found) == pytest.approx(1, abs=most)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "body",
     [jv.OrenNayar([0.3], 0.5), MULTIPLE([1.0], 0.4), jv.Phong([0.1], [0.3], 50.0)],

@@ -35,6 +35,7 @@ def test_right_places_are_not_flagged():
     assert np.sum(flagged) <= 5
 
 
+@pytest.mark.slow
 def test_a_gamma_is_printed_where_the_shutter_shows_nothing():
     """The posterior is nearly flat in ln tau: it has no curvature there, yet an interval."""
     for seed in (70000, 70012):

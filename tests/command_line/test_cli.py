@@ -392,7 +392,7 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
-@pytest.mark.sweep
+@pytest.mark.slow
 def test_a_command_with_closed_streams_works(tmp_path, closed):
     """Numbers of files that a shell closed are not those of the next files."""
     np.save(tmp_path / "a.npy", np.ones((4, 4, 3)))

@@ -23,6 +23,7 @@ def first_flat(folder, seed):
     return read_image(folder / "noise" / "flat_00_00.tif")
 
 
+@pytest.mark.slow
 def test_the_seed_makes_the_images(tmp_path):
     """The same again for the same seed, another pixel's noise for another."""
     one, again, other = (

@@ -87,7 +87,7 @@ def test_the_preview_follows_its_rule(rendered):
     assert np.abs(shown - 255 * encoded).max() <= 0.51
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("tile", [7, 26, 468, 5000])
 def test_the_picture_does_not_depend_on_its_tiles(rendered, tmp_path, tile):
     status, *_ = run(

@@ -153,6 +153,7 @@ def test_folders_of_the_same_images_are_one_camera(cameras):
     assert "d" not in asked
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_where_it_was_and_tries_again_what_failed(cameras):
     asked, paths, out = cameras
     (paths[1] / "note").write_text("dark")

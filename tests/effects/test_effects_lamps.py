@@ -62,7 +62,7 @@ def test_each_lamp_alone_and_a_pruned_scene_keep_their_bounds(seeds):
     assert changed >= len(seeds)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_oracle_draws_what_the_library_renders(seed):
     """Else a wrong oracle might keep any bound."""

@@ -42,6 +42,7 @@ def test_of_bounces_in_a_closed_sphere():
         assert caught(sum(0.5 * 0.7**k for k in range(pieces, depth)), row.effect.bound)
 
 
+@pytest.mark.slow
 def test_of_diffraction_on_a_lit_pixel():
     bare = s.ThinLens(np.zeros(3), np.eye(3), 0.05, 4e-6, resolution=(7, 7), f_number=8.0)
     view = replace(bare, diffraction=s.Diffraction(6e-7, size=5))

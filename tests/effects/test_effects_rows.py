@@ -122,7 +122,7 @@ def test_every_field_of_a_scene_has_its_row_or_is_a_quantity(name):
     assert own == ROWS.get(name, set()) | QUANTITIES[name]
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [None, 3])
 def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
     """A mirror at 45 degrees shows half of a lamp of radiance 3, and the floor beside it."""

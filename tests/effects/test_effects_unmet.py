@@ -37,6 +37,7 @@ def looking_down(side=16):
     return jv.Pinhole([0, -4, 2.0], toward, 0.03, 0.03 / side, resolution=(side, side))
 
 
+@pytest.mark.slow
 def test_forty_balls_out_of_view_leave_the_program_of_the_scene_without_them():
     whole, view = street(40), looking_down()
     pruned = effects.prune(whole, view, NOTHING, level=1.0)

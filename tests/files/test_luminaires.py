@@ -93,6 +93,7 @@ def test_old_files_have_a_further_factor_and_round_openings_a_minus(tmp_path):
     assert flux(new) == pytest.approx(1000 * np.pi, rel=1e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("planes", "mirrors"),
     [
@@ -272,6 +273,7 @@ material = "paper"
 """
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("light", "expected"),
     [

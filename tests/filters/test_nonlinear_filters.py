@@ -257,6 +257,7 @@ def test_bad_input_is_one_sentence(call, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16], ids=["float16", "bfloat16"])
 def test_half_precision_holds_the_sums_of_a_window(dtype):
     """A mean over 169 or 441 equal numbers; in half precision their sum is infinite or stops."""

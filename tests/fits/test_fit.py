@@ -461,6 +461,7 @@ def test_two_residuals_of_two_unknowns_that_bounds_stop():
     assert "-2." not in said.partition("is exceeded")[0].rpartition(";")[2]
 
 
+@pytest.mark.slow
 def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
     """A penumbra of 64 steps over a row of pixels, under light that falls off from a lamp which
     moves with it: automatic derivatives see the falling off alone."""

@@ -90,6 +90,7 @@ def test_the_prior_of_a_scatter_is_jeffreys():
     assert prior(tau) - prior(1e-7) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
     """Where proposals do not settle and the chain is short, Laplace's intervals are named so."""
     data = jnp.asarray(norm.ppf((np.arange(6) + 0.5) / 6))

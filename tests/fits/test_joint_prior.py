@@ -82,6 +82,7 @@ def test_two_halves_of_linear_data_equal_the_whole(half):
     np.testing.assert_allclose(shares[0].share, along @ known @ along / covariance[0, 0], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_other_numbers_are_marginalised_over_and_keep_their_own_priors(half):
     """a by the first half and b by its own prior, whatever the first half says of b and c."""
     prior = half.as_prior(["a", "c"])
@@ -148,6 +149,7 @@ def test_another_shape_and_what_is_no_prior_are_refused(half):
             line(SECOND, half)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [Emcee(), pytest.param(Nuts(), marks=pytest.mark.slow)], ids=["emcee", "NUTS"]
 )
@@ -335,6 +337,7 @@ def test_correlations_add_what_the_joint_gaussian_has():
         np.testing.assert_allclose(zeros, 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_draws_of_a_camera_file_are_a_prior(tmp_path):
     """Gain and read noise of a sensor, correlated by -.8, with one datum of each."""
     rng = np.random.default_rng(2)

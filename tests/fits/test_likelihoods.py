@@ -525,6 +525,7 @@ def plain_shares(light, codes=TABLE_CODES, gain=4.0, noise=0.3, black=10.0):
     return found / found.sum()
 
 
+@pytest.mark.slow
 def test_a_table_of_codes_is_multinomial_within_its_codes():
     """Two levels of light; numbers outside of a table are not known of."""
     tables = SensorCounts(

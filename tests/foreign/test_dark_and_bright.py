@@ -202,7 +202,7 @@ def bilateral_by_definition(picture, sigma_space, sigma_range, radius):
     return means
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("bands", [0, 2])
 def test_infinite_pixels_have_no_part_in_the_means_of_others(bands):
     """A saturated or broken pixel of an EXR: the others are as by the definition, it stays."""

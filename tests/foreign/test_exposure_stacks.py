@@ -217,6 +217,7 @@ def test_bars_of_a_film_are_neither_black_nor_scene():
     assert "so the black level may be as high as that" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [12, pytest.param(14, marks=pytest.mark.slow)])
 def test_a_linear_bracket_of_three_exposures_is_linear(seed):
     """One of three such was called no pure gamma."""
@@ -885,6 +886,7 @@ def test_one_wrong_time_is_no_step_of_the_light():
     assert "check the time and gain of images[3] first" in said
 
 
+@pytest.mark.slow
 def test_something_that_moves_in_a_bracket_is_named():
     scene, (row, column) = smooth_scene(0), np.mgrid[:72, :96]
     body = np.abs(row - 36) < 20

@@ -389,7 +389,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
     found = SimpleNamespace(
         likelihood=...,
         chosen=SimpleNamespace(values={"light_offset"}, data=SimpleNamespace(photons_known=False)),
-        shown={"light_offset": SimpleNamespace(value=offset, standard_error=25e-6)},
+        estimates={"light_offset": SimpleNamespace(value=offset, standard_error=25e-6)},
     )
     assert bool(_light_offset(True, found)) == said
 
@@ -569,6 +569,7 @@ def test_dark_blocks_beside_lit_ones_are_no_jpeg(size):
     assert np.sum(found.max(axis=0) > 5) == 0
 
 
+@pytest.mark.slow
 def test_covered_columns_are_left_out_however_many_they_are():
     """A quarter of the columns under metal; two bad pixels in it follow the light."""
     rng = np.random.default_rng(19)

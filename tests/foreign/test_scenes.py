@@ -30,6 +30,7 @@ BEHIND_GLASS = jv.Scene([FLOOR, PANE], [LAMP])
 THROUGH = 0.5 / np.pi * 4 / (2 - 0.1 * (1 - 1 / 1.5)) ** 2 * (0.96 / 1.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["direct", "rays", "path"])
 def test_light_of_a_point_behind_a_window_is_named(integrator):
     said = " ".join(missing_light(BEHIND_GLASS, integrator=integrator, view=BELOW))
@@ -39,6 +40,7 @@ def test_light_of_a_point_behind_a_window_is_named(integrator):
     assert max(len(sentence.split()) for sentence in said.split(". ")) <= 30
 
 
+@pytest.mark.slow
 def test_what_finds_all_light_says_nothing():
     assert missing_light(BEHIND_GLASS, integrator="light", depth=6, view=BELOW) == []
     area = replace(BEHIND_GLASS, lights=(PANEL,))
@@ -159,7 +161,7 @@ def sky_with_a_sun(rows: int) -> tuple[jv.EnvironmentMap, float]:
     return jv.environment_map(radiance), 1e5 * within * 0.5 / np.pi
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [64, 200])
 @pytest.mark.parametrize("name", ["render", "ray_traced", "outgoing_radiance"])
 def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
@@ -672,7 +674,7 @@ UNDER_IT = {
 }
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", UNDER_IT.values(), ids=UNDER_IT)
 def test_a_surface_near_a_wide_lamp_is_named(shape):
     """Under an endless lamp the irradiance is pi L, here 1 W/m^2."""

@@ -355,6 +355,7 @@ def test_the_matte_of_a_bright_picture_is_that_of_its_scaled_copy(scale):
     np.testing.assert_allclose(found.alpha, right.alpha, atol=3e-3)
 
 
+@pytest.mark.slow
 def test_a_matte_that_does_not_depend_on_the_picture_is_named():
     image, trimap = arrays(SEEN, TRIMAP)
     with pytest.warns(UserWarning, match="The trimap has no unknown pixels"):
@@ -473,6 +474,7 @@ def hair(seed, *, side=24, texture=0.05, noise=0.003):
     return np.maximum(seen, 0), trimap, alpha, sides[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("texture", "seeds"),
     [(0.0, 2), *(pytest.param(x, 12, marks=pytest.mark.slow) for x in (0.0, 0.05, 0.1))],

@@ -644,6 +644,7 @@ def test_halves_of_the_images_are_fitted_and_told():
     assert any("agree within these intervals" in sentence for sentence in told)
 
 
+@pytest.mark.slow
 def test_a_fit_left_with_few_cells_has_not_converged(monkeypatch):
     """As many cells as parameters leave no degree of freedom: chi-square was divided by 0."""
     images, lights = photographs(np.random.default_rng(0), lights=5, gamma=1, size=40)

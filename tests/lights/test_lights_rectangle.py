@@ -167,7 +167,7 @@ def test_the_gradient_of_nodes_is_numpys_difference():
     np.testing.assert_allclose(np.concatenate(gradients), slopes, rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.1, 0.5, 30.0])
 def test_density_is_that_of_the_samples(height):
     """Radiance / density is the sample's weight, and the weights integrate the direction itself

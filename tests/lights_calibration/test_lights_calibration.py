@@ -382,6 +382,7 @@ def test_image_errors_with_a_common_precision_are_a_dense_gaussian(cells):
     np.testing.assert_allclose(float(found) + constant, dense, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_photometric_stereo_allows_for_lights_that_err_together():
     """Normals of a matte ball under lights all off by one turn of 1 degree (s.d.)."""
     rng, lights = np.random.default_rng(5), directions(12)

@@ -302,7 +302,7 @@ def test_bad_input_is_named(tmp_path):
     assert "no such rig file" in stderr
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(("read", "dsnu"), [(0.3, 1.0), (0.3, 0.25), (0.2, 4.0), (0.3, 0.0)])
 def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
     """Codes of .8 DN/e- about 64.3 by the Normal distribution function."""

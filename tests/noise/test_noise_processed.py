@@ -272,6 +272,7 @@ def test_light_that_falls_to_the_corners_makes_no_halves():
         assert not any("halves" in one or "quarters" in one for one in told)
 
 
+@pytest.mark.slow
 def test_photons_in_another_unit_are_named():
     """Per second instead of per exposure, and a thousand times too many."""
     frames, camera = series(1, count=2), Camera(bits=12)
@@ -283,6 +284,7 @@ def test_photons_in_another_unit_are_named():
         assert sum("photons are stated too high" in one for one in told) == (scale > 1)
 
 
+@pytest.mark.slow
 def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
     """Light that rises by 30 % to one side; the mean is 10 standard deviations below the end."""
     flats, darks = series(3, shading=1 + np.linspace(-0.3, 0.3, 64), count=2)
@@ -291,7 +293,7 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
     assert float(measured.bright.ended[-1]) == np.mean(np.array(flats[-1]) == 4095)
     found, told = calibrate(measured), predict(SENSOR, measured)
     assert {*range(6)} <= {*found.usable.tolist()} <= {*range(7)}
-    gain = found.shown["system_gain"]
+    gain = found.estimates["system_gain"]
     assert abs(gain.value - GAIN) < 3 * gain.standard_error < 0.015
     for sentences in (findings_of(found), findings(told)):
         assert any("1 level is not used because a part of the pixels" in one for one in sentences)
@@ -299,6 +301,7 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
     assert told.judged.missed == []
 
 
+@pytest.mark.slow
 def test_a_lamp_that_warms_up_is_no_curved_response():
     """By 6 %, with a decay over 10 frames."""
     flats, darks = series(1, lamp=lambda number: 1 - 0.06 * np.exp(-number / 10))
@@ -307,13 +310,14 @@ def test_a_lamp_that_warms_up_is_no_curved_response():
     mean = 0.06 * (1 - np.exp(-32 / 10)) / 32
     assert found.share == pytest.approx(mean, abs=4 * found.error + 0.05 * mean)
     calibration = calibrate(made)
-    gain = calibration.shown["system_gain"]
+    gain = calibration.estimates["system_gain"]
     assert abs(gain.value - GAIN) < 3 * gain.standard_error < 0.01
     told = " ".join(findings_of(calibration))
     assert "as when a lamp or a camera warms up" in told
     assert "not linear: the gain" not in told
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("flicker", [0.0, 0.001, 0.01])
 def test_light_that_flickers_does_not_warm_up(flicker):
     for seed in range(4):

@@ -158,7 +158,7 @@ def settings_like(**given):
     return np.all([{"gain": ISO, "temperature": WARMTH}[k] == v for k, v in given.items()], axis=0)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "found"),
     [

@@ -370,7 +370,7 @@ def test_levels_whose_frames_are_alike_tell_nothing():
 
 
 @pytest.mark.parametrize(("size", "dead"), [((12, 30), 0.0), ((8, 8), 0.0), ((12, 30), 0.2)])
-@pytest.mark.sweep
+@pytest.mark.slow
 def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
     """Of what rows, columns, pixels and frames add, each estimate scatters about its truth, also
     without a column and a fifth of the pixels."""

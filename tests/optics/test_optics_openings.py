@@ -88,7 +88,7 @@ def test_kernel_is_the_share_of_each_pixel(aperture, radius):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @each_aperture
 @pytest.mark.parametrize("radius", [0.03, 42.0])
 def test_kernel_keeps_its_digits(aperture, radius):

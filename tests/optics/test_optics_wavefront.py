@@ -57,6 +57,7 @@ def test_with_a_stop_it_is_the_difference_of_two_patterns():
     np.testing.assert_allclose(ours, pixels / pixels.sum(), atol=2e-5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("j", [4, 6, 7, 11])
 def test_small_aberrations_lower_the_peak_as_marechal_says(j):
     def peak(metres):
@@ -112,6 +113,7 @@ def test_the_transfer_is_the_autocorrelation_of_the_pupil():
         assert abs(found - wanted) < 0.01  # light beyond the kernel is 1 %
 
 
+@pytest.mark.slow
 def test_a_lens_with_a_wavefront_spreads_its_picture():
     lens = {
         "position": [0, 0, 0],

@@ -194,6 +194,7 @@ def test_what_misses_more_than_the_signal_is_never_as_good_as_what_does_not(cali
     ) in told
 
 
+@pytest.mark.slow
 def test_the_axes_of_a_pair_stand_as_their_errors_do(calibration):
     """Told, of an order but no size, useless either or both, and open."""
     cases = [

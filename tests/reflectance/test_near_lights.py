@@ -46,6 +46,7 @@ def off(found, normals):
     return np.arctan2(across, (found.normals * normals).sum(-1))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["plane", "ball"])
 def test_normals_are_exact_without_noise_and_covered_with_it(kind):
     points, normals = surface(kind)

@@ -60,7 +60,7 @@ def test_standard_deviations_hold():
     np.testing.assert_allclose((tilt**2).mean(), expected, rtol=0.06)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", [6, 8, 12, 40])
 @pytest.mark.parametrize("highlight", [0.0, 100.0])
 def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
@@ -233,7 +233,7 @@ def test_lobes_of_two_materials_give_better_normals_than_leaving_highlights_out(
         np.testing.assert_allclose(specular, 1000, rtol=0.05)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("robust", [True, False])
 def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
     """In attached shadows half of the noise is above 0: kept, it turned normals by 4 degrees."""
@@ -260,7 +260,7 @@ def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
     ],
 )
 @pytest.mark.parametrize("exponent", [1.0, 1.1])
-@pytest.mark.sweep
+@pytest.mark.slow
 def test_an_image_that_does_not_belong_is_named_and_left_out(spoil, named, exponent):
     lights, normals = hemisphere(64), normals_within(60, 400)
     readings = 1000 * power(lights, normals, exponent)
@@ -356,6 +356,7 @@ def test_noise_that_grows_with_the_intensity_is_not_called_another_surface(squar
     assert 0.89 < inside < 0.97  # was .999, of errors 3 times too large
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "albedo", [pytest.param(1.0, marks=pytest.mark.slow), np.linspace(0.1, 1, 900)]
 )
@@ -404,7 +405,7 @@ def hollow(lights, normals, albedo):
     return inside + share * power(lights, wall, 1).mean(axis=1)[:, None]
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("lowest", [0.5, 0.1])
 @pytest.mark.parametrize(
     ("surface", "shape", "least"),
@@ -643,6 +644,7 @@ def ringed_ball(count, seed):
     return np.random.default_rng(seed), lights, normals, inside, images
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("count", "share"), [(12, 0.3), (12, 0.5), (20, 0.5), (8, 0.5), (8, 0.7), (20, 0.7)]
 )
@@ -665,6 +667,7 @@ def test_many_random_readings_give_no_normal_or_a_sentence(count, share):
         assert known.sum() > 0.5 * inside.sum()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", [10, 100])
 def test_noise_alone_is_not_called_wrong_readings(noise):
     rng, lights, normals, inside, images = ringed_ball(12, 2)
@@ -676,6 +679,7 @@ def test_noise_alone_is_not_called_wrong_readings(noise):
     assert not any("wrong readings" in sentence for sentence in found.findings)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", [0.1, 0.3])
 def test_shadowed_readings_that_agree_on_another_normal_leave_none(level):
     """Six of 12 readings in a cast shadow: eight of them agree on a normal that is 49 to 87 degrees

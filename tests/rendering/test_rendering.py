@@ -322,6 +322,7 @@ def test_gradients_through_shadows():
         np.testing.assert_allclose(slope.lights[0].position @ axis, numeric, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_many_rays_a_pixel_cover_an_edge_by_its_part():
     """A plate that ends a quarter into the second pixel; one ray through the centre misses it."""
     view = Orthographic([0, 0, 9], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 1.0, resolution=(1, 2))

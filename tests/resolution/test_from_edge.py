@@ -42,6 +42,7 @@ def noisy(mean, rng, gain=0.25, read=5.0):
     return np.round(mean + rng.normal(size=mean.shape) * np.sqrt(read**2 + gain * mean))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("angle", [5.0, 38.0, 180.0])
 @pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.4), ("disc", 2.5)])
 def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
@@ -149,6 +150,7 @@ def test_a_plane_of_a_mosaic_needs_no_demosaicing():
         assert width.standard_error < 0.1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_an_edge_that_overshoots_was_sharpened(share):
     """Also where the MTF stays below 1, as with an unsharp mask of .6."""
@@ -185,6 +187,7 @@ def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
     assert "highest value, 204" in " ".join(found.findings)
 
 
+@pytest.mark.slow
 def test_what_is_no_edge_in_linear_numbers_is_said():
     """A mosaic without its sensor had been taken for a compressed picture."""
     mean = expected((48, 48), 5.0, 0.3, 0.8)

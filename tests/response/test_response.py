@@ -114,6 +114,7 @@ def test_the_curve_leaves_whole(calibration):
         np.testing.assert_allclose(half, quantile * error, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_section(calibration):
     assert calibration.section is calibration.section
     assert calibration.section.title in calibration._repr_html_()

@@ -41,7 +41,7 @@ def places(rng, tau, known=0.0):
     return stats.t.cdf(truth / np.sqrt(square), freedom)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [1e-3, 0.01, 0.03])
 def test_three_exposures_hold_the_truth_however_small_the_error_that_shows(tau):
     """One error shows, by chance small: with Student's t of one degree of freedom at the likeliest

@@ -393,6 +393,7 @@ def test_patches_of_cameras_that_differ_as_their_draws_do():
     assert share.max() < 0.5  # most of a patch's error is shared
 
 
+@pytest.mark.slow
 def test_masters_that_contradict_the_camera_are_told():
     """A flat at full scale left the pattern in; a dark of ten times the time took off too much."""
     sensor = replace(SIMPLE, dark_current=2000.0, exposure_time=0.02, bits=12)
@@ -440,6 +441,7 @@ def test_numbers_of_another_scale_are_warned_of(scale):
     js.correct(raw, sensor)
 
 
+@pytest.mark.slow
 def test_raw_numbers_of_a_colour_mosaic_are_corrected_without_a_warning():
     """Also with a light offset, whose share differs between the sites."""
     colours = jv.ColourFilter(jnp.diag(jnp.array([0.6, 1.0, 0.4])), pattern=((0, 1), (1, 2)))
@@ -527,6 +529,7 @@ def test_mirrored_frames_are_warned_of():
     assert "mirrored" not in told_of(np.roll(frame(), (8, 8), (0, 1)), masters=masters)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(12))
 def test_raw_frames_of_cameras_are_not_warned_of(seed):
     """Dim and bright, with row noise, dark current, a curve, mixing or a well, over four scenes."""

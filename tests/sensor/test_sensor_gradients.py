@@ -157,7 +157,7 @@ def of_one_reading(name, mean, rms):
 READINGS = ((0.5, 0.1), (0.3, 0.5), (2.9, 1.0))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_estimators_of_readings_that_are_rounded_and_clipped(estimator):
     number, draws = ESTIMATORS.index(estimator), 2 if estimator == "score" else 1
@@ -270,6 +270,7 @@ def test_defects_by_their_chance(estimator):
                 np.testing.assert_array_equal(found, slope)
 
 
+@pytest.mark.slow
 def test_no_noise_and_certain_defects_have_finite_slopes():
     for estimator in ESTIMATORS:
         reading = partial(expected_of_reading, KEY, function=jnp.round, estimator=estimator)

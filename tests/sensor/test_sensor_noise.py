@@ -384,7 +384,7 @@ def test_rows_and_columns_need_an_image():
 
 @pytest.mark.parametrize("law", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
 @pytest.mark.parametrize("mean", [5, 100])
-@pytest.mark.sweep
+@pytest.mark.slow
 def test_counts_of_narrow_and_whole_means_are_those_of_float32(law, mean):
     truth = count(KEY, jnp.full(500, mean, jnp.float32), law)
     for dtype in (jnp.float16, jnp.bfloat16, jnp.uint8, jnp.int32):
@@ -395,6 +395,7 @@ def test_counts_of_narrow_and_whole_means_are_those_of_float32(law, mean):
         np.testing.assert_array_equal(got, truth.astype(got.dtype))
 
 
+@pytest.mark.slow
 def test_a_float16_frame_has_the_noise_of_its_light():
     sensor = s.Sensor(
         quantum_efficiency=1.0,

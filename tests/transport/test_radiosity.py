@@ -386,6 +386,7 @@ def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
     assert np.abs(np.asarray(got) - truth).max() < bound * truth.max()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_a_white_closed_room_with_light_has_no_equilibrium(method):
     """A cube, by the form factors of Howell's C-11; its second band has a grey wall."""
