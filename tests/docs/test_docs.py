@@ -119,8 +119,12 @@ def shown(file):
     )
 
 
+def is_module(name):
+    return importlib.util.find_spec(name) is not None
+
+
 def internals(code):
-    """What code imports of the packages that no package offers."""
+    """What code imports of the packages that no package offers, or that does not exist."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             names = [(alias.name, None) for alias in node.names]
@@ -131,7 +135,11 @@ def internals(code):
         for module, name in names:
             if module.partition(".")[0] not in ("jaxvision", "fitting"):
                 continue
-            offered = getattr(importlib.import_module(module), "__all__", None)
+            within = importlib.import_module(module)
+            if name and not hasattr(within, name) and not is_module(f"{module}.{name}"):
+                yield f"{module}.{name}"
+                continue
+            offered = getattr(within, "__all__", None)
             is_public = (
                 module.count(".") < 2 if offered is None or name is None else name in offered
             )
