@@ -28,7 +28,7 @@ def towards(theta, phi=0.0):
 VIEWS = towards(np.arccos(COSINES))
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @distributions
 def test_white_furnace(distribution):
     """The albedo of the library's own quadrature, of the interface 32 x 64 nodes, which the fitted
@@ -181,6 +181,7 @@ def test_a_random_walk_of_photons(cos_o):
     assert abs(got - escaped / count) < 4 * np.sqrt(0.25 / count)
 
 
+@pytest.mark.slow
 def test_the_plastic_of_other_programs():
     """Mitsuba 3.9.1's `plastic` (int_ior 1.5, ext_ior 1, reflectance 0.9, 0.5, 0.1, nonlinear),
     evaluated in scalar_rgb, over the cosine: its returned share is a fit, 1e-3 too large."""

@@ -219,6 +219,7 @@ def spread_of_a_line(slope, bend, scatter, inputs):
     return Spread(slope * inputs + bend * inputs**2, 0.04 + scatter**2 * inputs**2)
 
 
+@pytest.mark.slow
 def test_a_prediction_is_a_record_and_absent_terms_need_no_program_of_their_own():
     rng, x = np.random.default_rng(3), np.linspace(0.5, 4.0, 300)
     data = 2 * x + np.sqrt(0.04 + 0.09 * x**2) * rng.standard_normal(300)

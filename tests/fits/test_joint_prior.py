@@ -100,7 +100,7 @@ def test_other_numbers_are_marginalised_over_and_keep_their_own_priors(half):
 @pytest.mark.parametrize(
     "names", [{"a": "x", "b": "y"}, {"*": "left.*"}], ids=["by name", "by pattern"]
 )
-@pytest.mark.sweep
+@pytest.mark.slow
 def test_names_may_be_others(half, names):
     new = [names.get(one, f"left.{one}") for one in "ab"]
     record = {"left": {"a": 1.0, "b": 1.0}} if "*" in names else None

@@ -36,6 +36,7 @@ def test_a_prior_is_compared_with_what_the_data_alone_say():
     assert not any("within their noise" in one for one in far.failures)
 
 
+@pytest.mark.slow
 def test_a_width_that_grows_to_explain_a_prior_is_no_misfit_because_of_it():
     time = np.linspace(0.0, 4.0, 40)
     data = 2 * time + 1 + 0.1 * np.random.default_rng(0).standard_normal(40)

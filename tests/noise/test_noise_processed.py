@@ -327,6 +327,7 @@ def test_light_that_flickers_does_not_warm_up(flicker):
         assert drifting(made, linear_levels(made)) is None
 
 
+@pytest.mark.slow
 def test_exposures_that_may_be_milliseconds_are_named():
     flats, darks = series(6, count=2)
     for scale in (1, 1000):

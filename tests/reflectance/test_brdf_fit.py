@@ -401,6 +401,7 @@ def test_the_precision_of_the_caller_does_not_matter():
     np.testing.assert_allclose(away, 0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_misfit_widens_the_intervals(calibration):
     """A model that is wrong moves with the incidences it has seen: its errors say so."""
     right = calibrate_brdf(calibration.measured, model="phong")

@@ -150,7 +150,7 @@ def test_a_plane_of_a_mosaic_needs_no_demosaicing():
         assert width.standard_error < 0.1
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_an_edge_that_overshoots_was_sharpened(share):
     """Also where the MTF stays below 1, as with an unsharp mask of .6."""
