@@ -26,6 +26,7 @@ The variance is approximately chi-square distributed with (tr G)^2 / tr G^2 degr
 (Imbens & Kolesar, Rev. Econ. Stat. 98, 2016).
 """
 
+import warnings
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -71,6 +72,18 @@ class Robustness:
         only one level.
         """
         return self.effects[1] if len(self.effects) > 1 else np.nan
+
+    @property
+    def by_light(self) -> float:
+        """Former name of `light_design_effect`."""
+        warnings.warn("by_light is now light_design_effect.", DeprecationWarning, stacklevel=2)
+        return self.light_design_effect
+
+    @property
+    def by_pixel(self) -> float:
+        """Former name of `pixel_design_effect`."""
+        warnings.warn("by_pixel is now pixel_design_effect.", DeprecationWarning, stacklevel=2)
+        return self.pixel_design_effect
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:

@@ -12,6 +12,7 @@ variance resembles that of shot noise. An analysis of variance detects the exces
 size.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -195,6 +196,12 @@ class NoiseCalibration(ShownInNotebooks):
             return {}
         by_name = {found.name: found for found in estimates(self.posterior)}
         return by_name | {found.name: found for found in self.sheet}
+
+    @property
+    def shown(self) -> dict[str, Estimate]:
+        """Former name of `estimates`."""
+        warnings.warn("shown is now estimates.", DeprecationWarning, stacklevel=2)
+        return self.estimates
 
     @property
     def efficiency(self) -> float | None:

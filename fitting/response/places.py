@@ -10,6 +10,7 @@ variance (`flat_places.py`). Errors of neighbouring pixels are correlated, so la
 picture, not pixels, are treated as independent.
 """
 
+import warnings
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -44,6 +45,11 @@ class Layout:
         """Return the layout of some of the pixels."""
         every = self.steepness, self.activity, self.rows, self.columns
         return Layout(*(column[chosen] for column in every))
+
+    def at(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
+        """Former name of `select`."""
+        warnings.warn("at is now select.", DeprecationWarning, stacklevel=2)
+        return self.select(chosen)
 
 
 def layout_of(

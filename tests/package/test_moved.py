@@ -5,10 +5,15 @@ import pickle
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import jaxvision
+from fitting.inference import Robustness
+from fitting.noise.calibration import NoiseCalibration
+from fitting.response import Layout
 from jaxvision.core._moved import MOVED, RENAMED
 
 
@@ -33,6 +38,26 @@ def test_an_old_name_of_a_function_gives_it_and_says_the_new_one(old):
     with pytest.warns(DeprecationWarning, match=f"{old} is now {package}.{RENAMED[old]}.") as said:
         assert getattr(holder, name) is getattr(holder, RENAMED[old])
     assert said[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        (Robustness, "by_light", "light_design_effect"),
+        (Robustness, "by_pixel", "pixel_design_effect"),
+        (NoiseCalibration, "shown", "estimates"),
+    ],
+)
+def test_an_old_name_of_an_attribute_gives_it_and_says_the_new_one(kind, old, new):
+    value = object()
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {new}."):
+        assert getattr(kind, old).fget(SimpleNamespace(**{new: value})) is value
+
+
+def test_an_old_name_of_a_method_gives_its_result_and_says_the_new_one():
+    layout = Layout(*np.arange(12).reshape(4, 3))
+    with pytest.warns(DeprecationWarning, match=r"at is now select\."):
+        assert layout.at(slice(1, 2)).rows == 7
 
 
 def test_what_lies_below_an_old_name_is_there_once():
