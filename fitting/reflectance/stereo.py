@@ -911,14 +911,19 @@ def _noise_among_wrong(
     bright = np.flatnonzero(known & (largest >= np.median(largest[known] if known.any() else 0)))
     if bright.size < FEWEST:
         return np.inf, ()
-    usual = 0.0
-    for among in (np.flatnonzero(known), bright):
-        some = among[:: -(-among.size // VOTERS)]
-        own_rows, own, used = take_pixels(rows, some), readings[:, some], counts[:, some]
-        least = float(np.median(_least_absolute(own_rows, own, used)[1]))
-        usual = max(usual, least)
-    relative = least / float(np.median(own[used]))
-    if usual <= NOISY * np.median(own[used]):
+
+    def sample(pixels: np.ndarray) -> tuple[Rows, Readings, Counted]:
+        some = pixels[:: -(-pixels.size // VOTERS)]
+        return take_pixels(rows, some), readings[:, some], counts[:, some]
+
+    def scatter(some: tuple[Rows, Readings, Counted]) -> float:
+        return float(np.median(_least_absolute(*some)[1]))
+
+    own_rows, own, valid = brightest = sample(bright)
+    least = scatter(brightest)
+    usual = max(least, scatter(sample(np.flatnonzero(known))))
+    relative = least / float(np.median(own[valid]))
+    if usual <= NOISY * np.median(own[valid]):
         return np.inf, ()
     weights = counts.astype(float)
     residuals = np.where(counts, readings - predicted(rows, solved(rows, readings, weights)[0]), 0)
@@ -927,7 +932,7 @@ def _noise_among_wrong(
         return np.inf, ()
     unit = np.random.default_rng(0).normal(size=own.shape)
     seen, expected = (
-        np.quantile(_nearest_half(own_rows, values, used), LUCKY) for values in (own, unit)
+        np.quantile(_nearest_half(own_rows, values, valid), LUCKY) for values in (own, unit)
     )
     noise = min(float(seen / expected), least)
     said = () if relative <= SCATTERED else (_scattered_finding(relative),)
