@@ -35,7 +35,6 @@ def names_of(package: str, file: str) -> Attached:
         if new is not None:
             return load(new)
         where = None if name.startswith("_") else _homes(package, Path(file).parent).get(name)
-        near = difflib.get_close_matches(name, offered, n=1)
         if where and where.removeprefix(f"{package}.") in offered:
             hint = f"it is {where}.{name}"
         elif where:
@@ -46,8 +45,10 @@ def names_of(package: str, file: str) -> Attached:
             hint = f"here it is {meaning}"
         elif records := _records_with(name, offered):
             hint = f"it is a field of {', '.join(records)}"
+        elif near := difflib.get_close_matches(name, offered, n=1):
+            hint = f"the nearest is {near[0]!r}"
         else:
-            hint = f"the nearest is {near[0]!r}" if near else f"dir({package}) lists what it has"
+            hint = f"dir({package}) lists what it has"
         said = f"{package} has no {name!r}; {hint}."
         raise AttributeError(said, name=name, obj=sys.modules[package])
 
