@@ -134,9 +134,8 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
 
 
 def _warming(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """Return the mean drift of a signal that changes ever more slowly over the levels, as while a
-    lamp warms up; None if the changes within levels are not those of an exponential decay. Random
-    light does not follow one."""
+    """Return the mean drift while a lamp warms up. Return None if the changes within the levels do
+    not follow an exponential decay. Changes of random light do not follow one."""
     shares = _shares_of(measurement, usable)
     if shares is None:
         return None
