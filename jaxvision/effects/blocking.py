@@ -101,9 +101,8 @@ def _extent(
     than their rounding error become 0. For an unbounded plane that is parallel to the given plane,
     the two heights are equal."""
     point, normal = plane
-    moved = Bodies(bodies.points - point, bodies.radii)
-    slack = slack_over(bodies, point, normal, relative)
-    high, low = heights(moved, normal[None])[:, 0], -heights(moved, -normal[None])[:, 0]
+    slack, over = slack_over(bodies, point, normal, relative), (bodies.points - point) @ normal
+    high, low = (over + bodies.radii).max(1), (over - bodies.radii).min(1)
     high, low = (np.where(np.abs(x) <= slack, 0, x) for x in (high, low))
     for i in map(int, np.flatnonzero(~bounded)):
         parallel = i in own and np.linalg.norm(np.cross(own[i][1], normal)) < 1e-12
@@ -176,14 +175,14 @@ def may_block(
             behind = high <= (-source.size[0] if source.kind == "place" else 0)
             may[k, behind, :] = False
             may[k, :, behind] = False
+    lamps = [k for k, source in enumerate(sources) if source.body is not None]
+    places = stacked([body for source in sources if (body := source.body) is not None])
     for i, surface in enumerate(surfaces):
-        inside = _within(surface, bodies, relative, reach) & bounded
-        inside[i] = True
-        for k, source in enumerate(sources):
-            if source.body is not None and inside.sum() > 0:
-                lamp = stacked([source.body])
-                if _within(surface, lamp, relative, reach, strictly=True).all():
-                    may[k, inside, i] = False
+        around = _within(surface, places, relative, reach, strictly=True)
+        if around.any():
+            inside = _within(surface, bodies, relative, reach) & bounded
+            inside[i] = True
+            may[np.ix_(np.array(lamps)[around], np.flatnonzero(inside), [i])] = False
     _separated(may, sources, bodies, bounded, reach)
     return may
 

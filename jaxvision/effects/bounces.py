@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..scene import Box, Sphere, TriangleMesh
-from .bodies import Bodies, body_of, bounding_balls, heights, numbers, plane_of, stacked
+from .bodies import Bodies, bounding_balls, heights, numbers, plane_of, surface_bodies
 from .boxes import setting
 from .cells import Cells, starts
 from .illumination import times
@@ -229,20 +229,23 @@ def _transport(sums: Sums) -> Transport:
 
 
 def _form_factors(sums: Sums) -> np.ndarray:
-    n = len(sums.surfaces)
-    factors = np.ones((n, n))
-    found = [body_of(surface.field("shape")) for surface in sums.surfaces]
+    n, cells = len(sums.surfaces), sums.cells
+    factors, first = np.ones((n, n)), starts(cells)
+    bodies, bounded = surface_bodies(sums.surfaces)
+    (middles, sizes), places = bounding_balls(bodies), cells.centre.T.copy()
+    for j in np.flatnonzero(bounded):
+        x, y, z = places - middles[j][:, None]
+        apart = np.sqrt(x * x + y * y + z * z) - cells.radius
+        d, size = np.minimum.reduceat(apart, first), sizes[j]
+        factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)
     planes = [plane_of(surface.field("shape")) for surface in sums.surfaces]
-    cells = sums.cells
-    for j, body in enumerate(found):
-        if body is not None:
-            middle, (size,) = bounding_balls(stacked([body]))
-            apart = np.linalg.norm(cells.centre - middle, axis=1) - cells.radius
-            d = np.minimum.reduceat(apart, starts(cells))
-            factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)
-        for i, plane in enumerate(planes):
-            if plane is not None and not sums.surfaces[i].low.two_sided:
-                factors[i, j] *= _lies_in_front(plane, body, planes[j])
+    for i, plane in enumerate(planes):
+        if plane is not None and not sums.surfaces[i].low.two_sided:
+            point, normal = plane
+            ahead = heights(Bodies(bodies.points - point, bodies.radii), normal[None])[:, 0] > 0
+            for j in np.flatnonzero(~bounded):
+                ahead[j] = _lies_in_front(plane, planes[j])
+            factors[i] *= ahead
     for i, surface in enumerate(sums.surfaces):
         shape = surface.low.shape
         dented = isinstance(shape, TriangleMesh) or (
@@ -252,13 +255,10 @@ def _form_factors(sums: Sums) -> np.ndarray:
     return factors
 
 
-def _lies_in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
-    """Return whether a part of a body or unbounded plane lies in front of a one-sided surface."""
+def _lies_in_front(plane: tuple, other: tuple | None) -> bool:
+    """Return whether a part of an unbounded surface, which may be a plane, lies in front of a
+    one-sided surface."""
     point, normal = plane
-    if body is None:
-        if other is None or not np.allclose(np.abs(other[1] @ normal), 1):
-            return True
-        return bool((numbers(other[0]) - point) @ normal > 0)
-    points, radii = body
-    high = heights(Bodies((points - point)[None], radii[None]), normal[None])[0, 0]
-    return bool(high > 0)
+    if other is None or not np.allclose(np.abs(other[1] @ normal), 1):
+        return True
+    return bool((numbers(other[0]) - point) @ normal > 0)

@@ -204,6 +204,8 @@ def umbra_flags(
             deep = _MARGIN * (shadow.size + of_body)
             farthest = heights(whole, shadow.normals[:1])[:, 0] - shadow.offsets[0]
             some = (farthest > deep)[cells.surface] & bounded & (cells.surface != j) & ~dark[k]
+            if not some.any():
+                continue
             there = Cells(*(x[some] for x in cells))
             least = np.maximum(shadow.least(whole)[there.surface], shadow.least(bodies_of(there)))
             size = shadow.size + of_cell[some]
