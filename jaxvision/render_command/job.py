@@ -1,6 +1,6 @@
 """Render a scene file to an image file, tile by tile. The memory needed does not grow with the
-picture. If a render is killed, the same command continues the render, and the result is
-bit-identical to an uninterrupted render.
+picture. If a render is killed, the same command continues the render, and the pixels are
+bit-identical to those of an uninterrupted render.
 
 While the EXR file `out` is unfinished, its completed tiles are in `out.partial` next to it. A tile
 is a sequence of pixels in row order. Every tile is computed by the same compiled code, and depends
@@ -108,7 +108,7 @@ def render_to_file(
                 rows(),
                 shape=(*source.view.resolution, len(names)),
                 channels=names,
-                attributes=_attributes(source, settings, pruned, error),
+                attributes=_attributes(source, settings, pruned, Cost(error, *seconds)),
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
@@ -322,7 +322,7 @@ def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dic
 
 
 def _attributes(
-    source: SceneFile, settings: RenderEntry, pruned: Pruned | None, error: float | None
+    source: SceneFile, settings: RenderEntry, pruned: Pruned | None, cost: Cost
 ) -> dict[str, str | int]:
     lacks = " ".join(light_findings(source, settings))
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
@@ -333,7 +333,8 @@ def _attributes(
         "jaxvision:scene": source.path.name,
         "jaxvision:sceneSha256": source.digest,
         **{f"jaxvision:{name}": value for name, value in settings.model_dump().items()},
-        **({} if error is None else {"jaxvision:relativeError": f"{error:.3g}"}),
+        **({} if cost.error is None else {"jaxvision:relativeError": f"{cost.error:.3g}"}),
+        "jaxvision:seconds": f"{cost.seconds:.3g}",
         **({"jaxvision:lacks": lacks} if lacks else {}),
         **({} if pruned is None else {"jaxvision:certificate": explain(pruned.certificate)}),
     }
