@@ -79,20 +79,22 @@ def edges(count: int = 500) -> None:
 
 def placed(draws, truth):
     """z of the true value among draws of a posterior."""
-    below = np.sum(np.asarray(draws) < truth, axis=0)
+    draws = np.asarray(draws)
+    below = np.sum(draws < truth, axis=0) + np.sum(draws == truth, axis=0) / 2  # both may be 0
     return ndtri((below + 0.5) / (len(draws) + 1))
 
 
 def charts(count: int = 40) -> None:
     light = colour.CHART * colour.DAY
-    for name in colour.NAMES:
-        true = colour.camera(name)
+    for name in (*colour.NAMES, "random cameras"):
         rng = np.random.default_rng(99)
         middle = rng.uniform(400, 700, (20, 1))
         others = rng.uniform(0, 1, (20, 1)) * np.exp(-(((colour.NM - middle) / 80) ** 2))
         others = (0.05 + others) * colour.DAY
-        raw, found = colour.NIGHT @ true, {"curve": [], "readings": [], "white balance": []}
+        found = {"curve": [], "readings": [], "white balance": []}
         for seed in range(count):
+            true = colour.camera(name) if name in colour.NAMES else colour.random_camera(seed)
+            raw = colour.NIGHT @ true
             readings, sd = colour.chart(true, seed)
             one = sensitivities.from_patches(readings, light, 1e-9 * colour.NM, sd=sd, seed=seed)
             found["curve"].append(placed(one.draws, true))
