@@ -201,7 +201,7 @@ def store_whole(function: Any, about: str) -> Callable[..., Any]:
                     found = jax.block_until_ready(kept(*args))
                     programs[name] = kept
                     return found
-            programs[name] = _written(folder / name, function.lower(*args))
+            programs[name] = _compile_to_file(folder / name, function.lower(*args))
         return programs[name](*args)
 
     return call
@@ -250,7 +250,7 @@ def _describe(x: Any, *, static: bool = False) -> str:
     raise TypeError(f"{type(x)} is not known.")
 
 
-def _written(path: Path, lowered: Any) -> Any:
+def _compile_to_file(path: Path, lowered: Any) -> Any:
     """Compile a program, write it to the file completely or not at all, and return it."""
     import jax
     from jax.experimental.compilation_cache.compilation_cache import reset_cache

@@ -79,7 +79,7 @@ class Capture(Shown):
         table = super()._repr_html_()
         if not is_known(self.raw) or not np.size(self.raw):
             return table
-        return picture_html(preview_png(_seen_as(self)), table, meaning="preview")
+        return picture_html(preview_png(_preview(self)), table, meaning="preview")
 
 
 @takes_numbers
@@ -219,7 +219,7 @@ def _prune_losslessly(
     return pruned if whole and pruned.certificate.saves > WORTH else None
 
 
-def _seen_as(shot: Capture) -> np.ndarray:
+def _preview(shot: Capture) -> np.ndarray:
     """Return a preview (h, w, 1 or 3) of the first picture of a batch: the developed picture if it
     is RGB, else the mean of the bands, scaled from its minimum to its maximum.
     """
@@ -328,13 +328,13 @@ def _light_on_sensor(
     if sensor.exposure_time is None:
         raise ValueError("Sensor.exposure_time must be given in seconds for a motion, got None.")
 
-    def seen_at(time: Scalar) -> tuple[Image, Image]:
+    def render_at(time: Scalar) -> tuple[Image, Image]:
         return _sample_static(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)[
             :2
         ]
 
     rows, _ = camera.view.resolution
-    light = exposed(sensor.shutter, sensor.exposure_time, seen_at, rows=rows, slots=moments)
+    light = exposed(sensor.shutter, sensor.exposure_time, render_at, rows=rows, slots=moments)
     return *light, None
 
 

@@ -343,15 +343,15 @@ def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
     missing = constant_rest / constant + left_rest / or_one(left) - lost_rest / lost
     missing = missing - 2 * difference_of_products(scaled, scaled, square, one) / square
 
-    def divided(a: Wavelengths, b: Wavelengths) -> tuple[Wavelengths, Wavelengths]:
+    def divide(a: Wavelengths, b: Wavelengths) -> tuple[Wavelengths, Wavelengths]:
         quotient = a / b
         return quotient, difference_of_products(a, one, quotient, b) / or_one(a)
 
     per_wave = constant * one
     for divisor in (square, square, scaled):
-        per_wave, share = divided(per_wave, divisor)
+        per_wave, share = divide(per_wave, divisor)
         missing = missing + share
-    odds, share = divided(left, lost)
+    odds, share = divide(left, lost)
     value = per_wave * odds
     missing = missing + share + difference_of_products(per_wave, odds, value, one) / or_one(value)
     # where a number is so small that its lower half is not held, rounding is unknown
@@ -428,15 +428,15 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     inverse = 1e3 / jnp.clip(temperature, 4000, 25000)
     cool = temperature <= 7000
 
-    def above(x_0: float) -> Scalar:
+    def chromaticity_offset(x_0: float) -> Scalar:
         """Return x_D - x_0, from the CIE's two polynomials in 1 / T, below and above 7000 K."""
         low = (0.244063 - x_0) + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
         high = (0.237040 - x_0) + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
         return jnp.where(cool, low, high)
 
-    def factored(polynomial: tuple[float, float, float]) -> Scalar:
+    def evaluate_factors(polynomial: tuple[float, float, float]) -> Scalar:
         first, second = _roots(polynomial)
-        return polynomial[2] * (above(first) * above(second))
+        return polynomial[2] * (chromaticity_offset(first) * chromaticity_offset(second))
 
-    m1, m2 = (factored(part) / factored(_DAYLIGHT[0]) for part in _DAYLIGHT[1:])
+    m1, m2 = (evaluate_factors(part) / evaluate_factors(_DAYLIGHT[0]) for part in _DAYLIGHT[1:])
     return basis[:, 0] + m1 * basis[:, 1] + m2 * basis[:, 2]

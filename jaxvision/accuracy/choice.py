@@ -34,11 +34,11 @@ def candidates(curve: Curve) -> tuple[Trial, ...]:
     while (setting := setting * STEP) <= most:
         if (whole := round(setting)) not in known:
             known.add(whole)
-            found.append(_inferred(curve, solid, whole))
+            found.append(_infer_trial(curve, solid, whole))
     return tuple(sorted(found, key=lambda trial: trial.setting))
 
 
-def _inferred(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
+def _infer_trial(curve: Curve, solid: Sequence[Trial], setting: int) -> Trial:
     declared, fitted = curve.knob.order, curve.order
     assert declared is not None
     assert fitted is not None

@@ -69,7 +69,7 @@ def page(
 def _svg(curves: Sequence[Curve]) -> str:
     """Return an SVG figure of one curve, or of the Pareto fronts of several curves."""
 
-    def drawn() -> "Figure":
+    def draw() -> "Figure":
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(4.8, 3.6))
@@ -80,7 +80,7 @@ def _svg(curves: Sequence[Curve]) -> str:
             front(curves, axes=axes)
         return figure
 
-    return figure_svg(drawn, font=11)
+    return figure_svg(draw, font=11)
 
 
 def write_page(

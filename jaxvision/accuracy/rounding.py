@@ -239,14 +239,14 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
             counts = params["cond_nconsts"], params["body_nconsts"]
             of_test, of_body = inputs[: counts[0]], inputs[counts[0] : sum(counts)]
 
-            def again(carry: Any) -> Any:
+            def continues(carry: Any) -> Any:
                 return run(params["cond_jaxpr"], carry[0], [*of_test, *carry[1]])[0]
 
             def turn(carry: Any) -> Any:
                 key, own = jax.random.split(carry[0])
                 return key, run(params["body_jaxpr"], own, [*of_body, *carry[1]])
 
-            return jax.lax.while_loop(again, turn, (key, inputs[sum(counts) :]))[1]
+            return jax.lax.while_loop(continues, turn, (key, inputs[sum(counts) :]))[1]
         case "cond":
             ways = [partial(run, branch, key) for branch in params["branches"]]
             return jax.lax.switch(jnp.int32(inputs[0]), ways, inputs[1:])

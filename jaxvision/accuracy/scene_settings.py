@@ -198,10 +198,10 @@ def settings(
     goal = tolerance if render_seconds is None else render_seconds
     if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:
         raise InputError("give either a tolerance or a time to render, above 0.")
-    file = _remembered(scene_file, tolerance, render_seconds)
+    file = _cache_path(scene_file, tolerance, render_seconds)
     known = _read(file, seconds) if cache else None
     if known is not None:
-        return _chosen(scene_file, known, _prune(scene_file, tolerance, known["level"]))
+        return _make_choice(scene_file, known, _prune(scene_file, tolerance, known["level"]))
     now = clock or time.perf_counter
     until, own = now() + seconds, scene_file.render
     problem, level = None, None
@@ -218,7 +218,7 @@ def settings(
     left, _ = pruned_scene(scene_file, own, pruned)
     remains = until - now()
     if remains < LEAST:
-        raise _too_little(scene_file, seconds)
+        raise _insufficient_time(scene_file, seconds)
     names = tuple(name for name in knobs_of(left, own) if name not in SEPARATE_KNOBS)
     problem, curves = measured(
         left,
@@ -241,7 +241,7 @@ def settings(
             f"allow more than {render_seconds:g} s, or render with the settings of the scene."
         )
     if not any(np.isfinite(trial.error) for curve in curves for trial in curve.trials):
-        raise _too_little(scene_file, seconds)
+        raise _insufficient_time(scene_file, seconds)
     try:
         best, checked = combine_and_check(
             problem, curves, wanted, allowed, seconds=until - now(), clock=clock
@@ -261,10 +261,10 @@ def settings(
     }
     if cache:
         _write(file, known)
-    return replace(_chosen(scene_file, known, pruned), curves=curves)
+    return replace(_make_choice(scene_file, known, pruned), curves=curves)
 
 
-def _too_little(scene_file: SceneFile, seconds: float) -> TooLittleTime:
+def _insufficient_time(scene_file: SceneFile, seconds: float) -> TooLittleTime:
     return TooLittleTime(
         f"{scene_file.path}: no error was measured within {seconds:.3g} s; allow more time to "
         "measure."
@@ -284,7 +284,7 @@ def _compile_seconds(
     return max([problem.compiling, *compiled])
 
 
-def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | None) -> Chosen:
+def _make_choice(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | None) -> Chosen:
     return Chosen(
         entry_of(scene_file.render, known["settings"]),
         pruned,
@@ -307,7 +307,7 @@ def _prune(source: SceneFile, tolerance: float | None, level: float | None) -> P
         return None
 
 
-def _remembered(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:
+def _cache_path(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:
     """Return the path of the cache file for the settings of this scene, machine and version."""
     key = {
         "scene": source.digest,

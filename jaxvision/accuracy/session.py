@@ -93,12 +93,12 @@ class Session:
             taken = self.clock() - start
             return compute, self._array(setting, result), taken, self.problem.once()
 
-        def left() -> float:
+        def remaining_time() -> float:
             spent = self.clock() - begun
             return min(self.remaining + GRACE * self.seconds, within - spent)
 
         try:
-            compute, values, taken, once = run_within(run, left)
+            compute, values, taken, once = run_within(run, remaining_time)
         except OutOfTime:
             self.given_up = f" ({setting} was given up after {self.clock() - begun:.3g} s)"
             raise

@@ -322,15 +322,15 @@ def all_together(
         with raised_interrupts():
             for tolerance in TOLERANCES:
                 left = max(until - now(), 0.0)
-                found.append(_within(problem, known, tolerance, found, left, clock))
+                found.append(_choose_combination(problem, known, tolerance, found, left, clock))
     except KeyboardInterrupt:
         is_handled()
         for tolerance in TOLERANCES[len(found) :]:
-            found.append(_within(problem, known, tolerance, found, 0.0, clock))
+            found.append(_choose_combination(problem, known, tolerance, found, 0.0, clock))
     return tuple(found)
 
 
-def _within(
+def _choose_combination(
     problem: Problem,
     curves: Sequence[Curve],
     tolerance: float,

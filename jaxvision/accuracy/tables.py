@@ -47,7 +47,7 @@ def rows(
         found.append((curve.knob.name, order, *_cells(curve)))
     together = all_together(problem, curves) if together is None else together
     if together:
-        found.append(("all together", "", *map(_all, together)))
+        found.append(("all together", "", *map(_combination_text, together)))
     return found
 
 
@@ -68,7 +68,7 @@ def _cell(trial: Trial) -> str:
     return f"{trial.setting}{inferred} in {seconds_text(trial.seconds)}"
 
 
-def _all(together: Together) -> str:
+def _combination_text(together: Together) -> str:
     combination = together.combination
     if combination is None:
         return NOT_REACHED

@@ -18,7 +18,7 @@ from ..core._types import Scalar
 Place = list[tuple[Int[Array, ""], Scalar]]
 
 
-def _only(x: Scalar) -> Place:
+def _single_node(x: Scalar) -> Place:
     return [(jnp.zeros((), jnp.int32), jnp.ones_like(x))]
 
 
@@ -28,7 +28,7 @@ def interpolation_weights(
     """Return the nodes next to `x` with their weights for linear interpolation. Outside the nodes,
     "clamp" takes the outermost node and "extrapolate" continues the line through the last two."""
     if nodes.shape[0] == 1:
-        return _only(x)
+        return _single_node(x)
     i = jnp.clip(jnp.sum(nodes <= x, dtype=jnp.int32) - 1, 0, nodes.shape[0] - 2)
     low, high = nodes[i], nodes[i + 1]
     w = (x - low) / (high - low)
@@ -40,7 +40,7 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
     """Return the nodes next to an angle (rad), with their weights, for nodes that span less than a
     full circle. Between the last node and the first one, interpolation closes the circle."""
     if nodes.shape[0] == 1:
-        return _only(angle)
+        return _single_node(angle)
     turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
     closed = jnp.concatenate([nodes, nodes[:1] + 2 * jnp.pi])
     (i, wi), (j, wj) = interpolation_weights(closed, turned)
@@ -51,7 +51,7 @@ def place_in_unit(position: Scalar, count: int) -> Place:
     """Return the nodes next to a number in [0, 1], with their weights, for `count` equally spaced
     nodes from 0 to 1."""
     if count == 1:
-        return _only(position)
+        return _single_node(position)
     scaled = jnp.clip(position, 0, 1) * (count - 1)
     i = jnp.clip(jnp.floor(scaled).astype(jnp.int32), 0, count - 2)
     w = scaled - i.astype(scaled.dtype)

@@ -67,20 +67,20 @@ def tabulated_lobe(
     return LobeSampler(tabulated_warp(phi, theta, jnp.maximum(table(phi, theta, y, x), 0)))
 
 
-def _seen_from(sampler: LobeSampler, wo: Vec) -> tuple[Slices, Scalar]:
+def _view_terms(sampler: LobeSampler, wo: Vec) -> tuple[Slices, Scalar]:
     phi = azimuth(wo)
     origin = phi if sampler.lobe.phi.shape[0] == 1 else jnp.zeros_like(phi)
     return slices(sampler.lobe, phi, elevation(wo)), origin
 
 
 def _lobe_direction(sampler: LobeSampler, wo: Vec, u: Square) -> Vec:
-    at, origin = _seen_from(sampler, wo)
+    at, origin = _view_terms(sampler, wo)
     place, _ = warp(sampler.lobe, at, u)
     return reflected(wo, square_to_half(place, origin))
 
 
 def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
-    at, origin = _seen_from(sampler, wo)
+    at, origin = _view_terms(sampler, wo)
     h = as_vec(normalize(wi + wo))
     place = half_to_square(h, origin)
     _, density = unwarp(sampler.lobe, at, place)

@@ -69,7 +69,9 @@ def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
     ]
 
 
-def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:
+def interpolate_table(
+    table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int
+) -> Array:
     """Return the entry `index` of a table (p, t, ...), interpolated between directions with weights
     `at`."""
     return sum(
@@ -81,7 +83,9 @@ def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position
     """Interpolate a table (p, t, rows, columns, ...) to the direction with weights `at` and to a
     position (x, y) of the unit square. The result has the shape (...)."""
     x, y = place_in_unit(position[0], table.shape[3]), place_in_unit(position[1], table.shape[2])
-    return sum(wy * wx * mixed(table, at, row, column) for row, wy in y for column, wx in x)  # pyright: ignore[reportReturnType]
+    return sum(
+        wy * wx * interpolate_table(table, at, row, column) for row, wy in y for column, wx in x
+    )  # pyright: ignore[reportReturnType]
 
 
 def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
@@ -112,13 +116,15 @@ def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
     the density there."""
     ux, uy = u
     rows, columns = w.density.shape[2:]
-    row = _last_below(rows, lambda i: mixed(w.marginal, at, i), uy)
-    r0 = mixed(w.conditional, at, row, columns - 1)
-    r1 = mixed(w.conditional, at, row + 1, columns - 1)
-    y = _invert_linear(r0, r1, (uy - mixed(w.marginal, at, row)) * (rows - 1))
+    row = _last_below(rows, lambda i: interpolate_table(w.marginal, at, i), uy)
+    r0 = interpolate_table(w.conditional, at, row, columns - 1)
+    r1 = interpolate_table(w.conditional, at, row + 1, columns - 1)
+    y = _invert_linear(r0, r1, (uy - interpolate_table(w.marginal, at, row)) * (rows - 1))
 
     def along(table: Array, i: Int[Array, ""]) -> Scalar:
-        return (1 - y) * mixed(table, at, row, i) + y * mixed(table, at, row + 1, i)
+        return (1 - y) * interpolate_table(table, at, row, i) + y * interpolate_table(
+            table, at, row + 1, i
+        )
 
     target = ux * ((1 - y) * r0 + y * r1)
     column = _last_below(columns, lambda i: along(w.conditional, i), target)
@@ -135,14 +141,16 @@ def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
     (row, _), (_, y) = place_in_unit(position[1], rows)
 
     def along(table: Array, i: Int[Array, ""]) -> Scalar:
-        return (1 - y) * mixed(table, at, row, i) + y * mixed(table, at, row + 1, i)
+        return (1 - y) * interpolate_table(table, at, row, i) + y * interpolate_table(
+            table, at, row + 1, i
+        )
 
     c0, c1 = along(w.density, column), along(w.density, column + 1)
     part = along(w.conditional, column) + x * (c0 + x * (c1 - c0) / 2) / (columns - 1)
-    r0 = mixed(w.conditional, at, row, columns - 1)
-    r1 = mixed(w.conditional, at, row + 1, columns - 1)
+    r0 = interpolate_table(w.conditional, at, row, columns - 1)
+    r1 = interpolate_table(w.conditional, at, row + 1, columns - 1)
     whole = (1 - y) * r0 + y * r1
     positive = whole > 0
     ux = divide(part, whole, where=positive)
-    uy = mixed(w.marginal, at, row) + y * (r0 + y * (r1 - r0) / 2) / (rows - 1)
+    uy = interpolate_table(w.marginal, at, row) + y * (r0 + y * (r1 - r0) / 2) / (rows - 1)
     return (ux, uy), (1 - x) * c0 + x * c1

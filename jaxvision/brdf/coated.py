@@ -189,7 +189,7 @@ _POLAR, _AZIMUTHS, _NARROW = 12, 48, 10.0  # _NARROW in sr^-1: a denser lobe is 
 _DRAWS = (np.arange(1024)[:, None] * np.array([0.8191725134, 0.6710436067, 0.5497004779])) % 1
 
 
-def _returned(material: Coated, w: Vec) -> Colour:
+def _returned_share(material: Coated, w: Vec) -> Colour:
     """Return a_o, the share of the light from the direction `w` inside the coat that the body
     reflects and the interface returns to the body, (bands,), no unit.
 
@@ -247,17 +247,19 @@ def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     cosines, weights = _returned_uniform(material, order, dense="normal" if isotropic else None)
     # the azimuths differ, for a body that depends on them
     azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
-    shares = jax.vmap(lambda c, phi: _returned(material, _direction(c, phi)))(cosines, azimuths)
+    shares = jax.vmap(lambda c, phi: _returned_share(material, _direction(c, phi)))(
+        cosines, azimuths
+    )
     left = weights.sum(axis=0) - (weights * shares).sum(axis=0)
     if isotropic:
         places = (1 - safe_sqrt((w.x * w.x + w.y * w.y) / (1 + w.z)) for w in (wi, wo))
         i, o = (interpolate_legendre(shares[order:], place) for place in places)  # 1 - sqrt(1 - t)
     else:
-        i, o = (_returned(material, _refracted_inside(material, w)) for w in (wi, wo))
+        i, o = (_returned_share(material, _refracted_inside(material, w)) for w in (wi, wo))
     return divide(i * o, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))
 
 
-def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
+def _body_brdf(material: Coated, wi: Direction, wo: Direction) -> Colour:
     """Return the part of f_r that is due to light from the body, (bands,) in sr^-1."""
     light, viewer = as_vec(wi), as_vec(wo)
     i, o = _refracted_inside(material, light), _refracted_inside(material, viewer)
@@ -273,7 +275,7 @@ def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
 def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
     """Return the BRDF f_r, (bands,) in sr^-1."""
     lobe = torrance_sparrow.microfacet_lobe(_facets(material), wi, wo)
-    return lobe + _from_body(material, wi, wo)
+    return lobe + _body_brdf(material, wi, wo)
 
 
 def _body_part(material: Coated, wo: Direction) -> Scalar:
@@ -305,7 +307,7 @@ def albedo(material: Coated, wo: Direction) -> Colour:
     unit."""
 
     def from_body(own: Coated, wi: Vec, viewer: Vec) -> Colour:
-        return _from_body(own, wi, viewer) * jnp.maximum(wi.z, 0)
+        return _body_brdf(own, wi, viewer) * jnp.maximum(wi.z, 0)
 
     lobe = torrance_sparrow.albedo(_facets(material), wo)
     return lobe + integrate_shading(from_body, material, wo)

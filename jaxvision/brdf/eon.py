@@ -77,7 +77,7 @@ def _missing(w: Vec) -> Scalar:
     return jnp.maximum(_C1 - sine * (theta - sine * w.z + (2 / 3) * rest) / jnp.pi, 0)
 
 
-def _between(material: EON) -> Colour:
+def _multiple_scattering_factor(material: EON) -> Colour:
     """Return k_m / k_d, the factor of the term for further reflections, (bands,), no unit."""
     rho = material.facet_albedo
     if rho is None:
@@ -94,7 +94,9 @@ def evaluate(material: EON, wi: Direction, wo: Direction) -> Colour:
     single = 1 + r * jnp.where(s > 0, s / divisor(jnp.maximum(i.z, o.z)), s)
     further = r * _missing(i) * _missing(o) / (_C1 - _C2)
     a = 1 / (1 + _C1 * r)
-    value = material.diffuse * (a * (jnp.maximum(single, 0) + _between(material) * further))
+    value = material.diffuse * (
+        a * (jnp.maximum(single, 0) + _multiple_scattering_factor(material) * further)
+    )
     return where_seen(wi, wo, value)
 
 
@@ -105,7 +107,7 @@ def _azimuth_mean(material: EON, cos_i: Scalar, cos_o: Scalar) -> Colour:
     r = material.roughness
     mean = sin_i * sin_o * (1 / divisor(jnp.maximum(cos_i, cos_o)) - 1) / jnp.pi
     missing = _missing(Vec(sin_i, 0 * cos_i, cos_i)) * _missing(Vec(sin_o, 0 * cos_o, cos_o))
-    further = _between(material) * (r * missing / (_C1 - _C2))
+    further = _multiple_scattering_factor(material) * (r * missing / (_C1 - _C2))
     return material.diffuse * (((1 + r * mean) + further) / (1 + _C1 * r))
 
 
@@ -114,7 +116,7 @@ def albedo(material: EON, wo: Direction) -> Colour:
     is the share of light that a single reflection loses; 0 for a viewer below the surface."""
     viewer = as_vec(wo)
     lost = material.roughness * _missing(viewer) / (1 + _C1 * material.roughness)
-    whole = jnp.pi * material.diffuse * (1 - lost * (1 - _between(material)))
+    whole = jnp.pi * material.diffuse * (1 - lost * (1 - _multiple_scattering_factor(material)))
     return where_above(viewer.z, whole)
 
 

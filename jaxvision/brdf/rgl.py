@@ -137,7 +137,7 @@ def _unfold(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
     return (wi, wo) if material.symmetry == 1 else (flip(wi), flip(wo))
 
 
-def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
+def _view_terms(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
     """Return three values for the viewing direction `wo`: the interpolation weights of the
     tabulated directions, the azimuth to which half vectors are relative, and the position of `wo`
     in the unit square of directions."""
@@ -175,7 +175,7 @@ def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     wi, wo = as_vec(wi), as_vec(wo)
     height = jnp.minimum(wi.z, wo.z)
     wi, wo = _unfold(material, wi, wo)
-    at, origin, wo_place = _seen_from(material, wo)
+    at, origin, wo_place = _view_terms(material, wo)
     h_place = half_to_square(as_vec(normalize(wi + wo)), origin)
     s, _ = unwarp(material.vndf, at, h_place)
     return where_above(height, _reflected_by(material, at, s, h_place, wo_place))
@@ -195,7 +195,7 @@ def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     tables) reflects nothing."""
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)
-    at, origin, _ = _seen_from(material, turned)
+    at, origin, _ = _view_terms(material, turned)
     s, _ = warp(material.luminance, at, (u[1], u[0]))
     place, _ = warp(material.vndf, at, s)
     wi = reflected(turned, square_to_half(place, origin))
@@ -207,7 +207,7 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     if `wo` is below the surface.
     """
     wi, wo = _unfold(material, as_vec(wi), as_vec(wo))
-    at, origin, _ = _seen_from(material, wo)
+    at, origin, _ = _view_terms(material, wo)
     h = as_vec(normalize(wi + wo))
     place = half_to_square(h, origin)
     s, visible = unwarp(material.vndf, at, place)
@@ -225,7 +225,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     """
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)
-    at, origin, wo_place = _seen_from(material, turned)
+    at, origin, wo_place = _view_terms(material, turned)
     nodes = (jnp.arange(order, dtype=wo.z.dtype) + 0.5) / order
 
     def weight(x: Scalar, y: Scalar) -> Colour:

@@ -189,7 +189,9 @@ def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     body = where_seen(wi, wo, material.diffuse)
     lobe = microfacet_lobe(material, wi, wo)
     if material.multiple_scattering is not None:
-        further = _returned(material) * _lost_energy(material, wi) * _lost_energy(material, wo)
+        further = (
+            _multiple_scattering(material) * _lost_energy(material, wi) * _lost_energy(material, wo)
+        )
         lobe = lobe + where_seen(wi, wo, further)
     return body + material.specular * lobe
 
@@ -199,7 +201,7 @@ def _lost_energy(material: TorranceSparrow, w: Direction) -> Scalar:
     return lost_energy(as_vec(w).z, material.roughness, material.distribution)
 
 
-def _returned(material: TorranceSparrow) -> Colour:
+def _multiple_scattering(material: TorranceSparrow) -> Colour:
     """Return F_m / (pi L), the factor of the light from multiple scattering, (bands,) or (1,) in
     sr^-1. L in the denominator is at least `LEAST_LOSS`."""
     mean = mean_lost(material.roughness, material.distribution)
@@ -353,7 +355,9 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     lobe = turn @ (rays(cos_psi, sin_psi) + rays(cos_psi, -sin_psi))
     if material.multiple_scattering is not None:
         mean = mean_lost(material.roughness, material.distribution)
-        lobe = lobe + jnp.pi * mean * _returned(material) * _lost_energy(material, viewer)
+        lobe = lobe + jnp.pi * mean * _multiple_scattering(material) * _lost_energy(
+            material, viewer
+        )
     return jnp.pi * material.diffuse + material.specular * where_above(viewer.z, lobe)
 
 
@@ -384,7 +388,7 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
         s = np.maximum(least, 2 * wide**2)
         return top * np.minimum(s, 1e150) ** 2 * np.exp(-np.minimum((s - 1) / wide**2, 700))
 
-    def seen(a: Angles) -> np.ndarray:
+    def view_bound(a: Angles) -> np.ndarray:
         if x.low.shadowing == "v-cavity":
             both = np.maximum(a.cos_i + a.cos_o_most, 1e-150)
             below = np.maximum(a.cos_o, a.cos_between**2 / both)
@@ -401,7 +405,7 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
     further = _largest_returned(x)
 
     def most(a: Angles) -> np.ndarray:
-        single = reflectance(a.cos_between) * facets(a.cos_half) * seen(a)
+        single = reflectance(a.cos_between) * facets(a.cos_half) * view_bound(a)
         return single + further * np.maximum(a.cos_i, 0)
 
     lobe = LargestLobe(peak(x, "specular"), most, float(reflectance(0.0)), None, neutral, False)

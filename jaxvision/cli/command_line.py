@@ -164,13 +164,13 @@ def sub_command(
     """Return a decorator that adds a function to a command as a sub-command. The docstring of the
     function becomes the help text, in one paragraph, followed by the examples."""
 
-    def added(function: Callable[..., None]) -> Callable[..., None]:
+    def add(function: Callable[..., None]) -> Callable[..., None]:
         sentences = " ".join((function.__doc__ or "").split())
         shown = "\n\n".join(f"Example: {line}" for line in examples)  # a paragraph each
         app.command(function.__name__, cls=_Command, help=sentences, epilog=shown)(function)
         return function
 
-    return added
+    return add
 
 
 def _print_version(context: typer.Context, wanted: bool) -> bool:

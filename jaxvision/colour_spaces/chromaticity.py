@@ -3,7 +3,15 @@
 import jax.numpy as jnp
 
 from ..core._arguments import takes_numbers
-from ._components import Colours, joined, over, parts, reciprocal, scale_to_unit, vanishes
+from ._components import (
+    Colours,
+    divide_or_zero,
+    parts,
+    reciprocal,
+    scale_to_unit,
+    stack_components,
+    vanishes,
+)
 
 
 @takes_numbers
@@ -22,7 +30,7 @@ def xyz_to_xyy(xyz: Colours) -> Colours:
     luminance = parts(xyz)[1]
     x, y, z = scale_to_unit(*parts(xyz))
     total = x + y + z
-    return joined(over(x, total), over(y, total), luminance)
+    return stack_components(divide_or_zero(x, total), divide_or_zero(y, total), luminance)
 
 
 @takes_numbers
@@ -40,4 +48,4 @@ def xyy_to_xyz(xyy: Colours) -> Colours:
     """
     x, y, luminance = parts(xyy)
     scale = luminance * reciprocal(y)
-    return joined(x * scale, jnp.where(vanishes(y), 0, luminance), (1 - x - y) * scale)
+    return stack_components(x * scale, jnp.where(vanishes(y), 0, luminance), (1 - x - y) * scale)

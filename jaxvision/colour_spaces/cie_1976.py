@@ -9,12 +9,12 @@ from ..core._types import Scalars, refuse_codes
 from ._components import (
     Colours,
     chroma_of,
+    divide_or_zero,
     hue_angle,
-    joined,
-    over,
     parts,
     reciprocal,
     scale_to_unit,
+    stack_components,
 )
 
 _BREAK = 6 / 29
@@ -57,7 +57,7 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     thirds = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
     (fx, x_0), (fy, y_0), (fz, z_0) = thirds
     a, b = (fx - fy) + (x_0 - y_0), (fy - fz) + (y_0 - z_0)
-    return joined(116 * (fy + y_0), 500 * a, 200 * b)
+    return stack_components(116 * (fy + y_0), 500 * a, 200 * b)
 
 
 @takes_numbers
@@ -77,7 +77,7 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
     lightness, a, b = parts(lab)
     above = lightness / 116
     thirds = (above + a / 500, above, above - b / 200)
-    return joined(*(white[i] * _inverse_lightness(f) for i, f in enumerate(thirds)))
+    return stack_components(*(white[i] * _inverse_lightness(f) for i, f in enumerate(thirds)))
 
 
 @takes_numbers
@@ -104,10 +104,10 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     x_n, y_n, z_n = white
     x, y, z = scale_to_unit(x, y, z)
     total, total_n = x + 15 * y + 3 * z, x_n + 15 * y_n + 3 * z_n
-    scale = over(13 * lightness, total * total_n)
+    scale = divide_or_zero(13 * lightness, total * total_n)
     xy, xz, yz = x * y_n - x_n * y, x * z_n - x_n * z, y * z_n - y_n * z
     u, v = 12 * (5 * xy + xz), 9 * (3 * yz - xy)  # numerators without the terms in 15 y that cancel
-    return joined(lightness, scale * u, scale * v)
+    return stack_components(lightness, scale * u, scale * v)
 
 
 @takes_numbers
@@ -132,7 +132,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     sum_n = x_n + 15 * y_n + 3 * z_n
     u_prime, v_prime = u * share + 4 * x_n / sum_n, v * share + 9 * y_n / sum_n
     scale = y * reciprocal(4 * v_prime)
-    return joined(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
+    return stack_components(9 * u_prime * scale, y, (12 - 3 * u_prime - 20 * v_prime) * scale)
 
 
 @takes_numbers
@@ -149,7 +149,7 @@ def to_lch(lab: Colours) -> Colours:
         ValueError: for a last axis other than 3, and for integer codes.
     """
     lightness, a, b = parts(lab)
-    return joined(lightness, chroma_of(a, b), hue_angle(a, b))
+    return stack_components(lightness, chroma_of(a, b), hue_angle(a, b))
 
 
 @takes_numbers
@@ -166,4 +166,4 @@ def from_lch(lch: Colours) -> Colours:
         ValueError: for a last axis other than 3, and for integer codes.
     """
     lightness, chroma, hue = parts(lch)
-    return joined(lightness, chroma * jnp.cos(hue), chroma * jnp.sin(hue))
+    return stack_components(lightness, chroma * jnp.cos(hue), chroma * jnp.sin(hue))

@@ -5,7 +5,15 @@ import jax.numpy as jnp
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalars, refuse_codes
-from ._components import Colours, joined, over, parts, scale_to_unit, to_unit_size, within
+from ._components import (
+    Colours,
+    divide_or_zero,
+    parts,
+    reduce_turn,
+    scale_to_unit,
+    stack_components,
+    to_unit_size,
+)
 
 
 @takes_numbers
@@ -27,7 +35,7 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
     value = _ends(*parts(rgb))[1]
     unit = scale_to_unit(*parts(rgb))
     least, most = _ends(*unit)
-    return joined(_hue(*unit), over(most - least, most), value)
+    return stack_components(_hue(*unit), divide_or_zero(most - least, most), value)
 
 
 @takes_numbers
@@ -48,10 +56,10 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
     sextants = 6 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = within(n + sextants, 6.0)
+        k = reduce_turn(n + sextants, 6.0)
         return value - value * saturation * _trapezium(k, 4 - k, 0)
 
-    return joined(channel(5), channel(3), channel(1))
+    return stack_components(channel(5), channel(3), channel(1))
 
 
 @takes_numbers
@@ -76,7 +84,7 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
     # 1 - |2 lightness - 1|, which keeps its digits near black
     room = jnp.minimum(high + low, 2 * one - (high + low))
     hue = _hue(*scale_to_unit(*parts(rgb)))
-    return joined(hue, over(high - low, room), lightness)
+    return stack_components(hue, divide_or_zero(high - low, room), lightness)
 
 
 @takes_numbers
@@ -98,10 +106,10 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
     twelfths = 12 * (hue - jnp.floor(hue))
 
     def channel(n: int) -> Scalars:
-        k = within(n + twelfths, 12.0)
+        k = reduce_turn(n + twelfths, 12.0)
         return lightness - reach * _trapezium(k - 3, 9 - k, -1)
 
-    return joined(channel(0), channel(8), channel(4))
+    return stack_components(channel(0), channel(8), channel(4))
 
 
 def _trapezium(rising: Scalars, falling: Scalars, floor: int) -> Scalars:
@@ -117,9 +125,9 @@ def _ends(r: Scalars, g: Scalars, b: Scalars) -> tuple[Scalars, Scalars]:
 def _hue(r: Scalars, g: Scalars, b: Scalars) -> Scalars:
     """Return the hue as a fraction of a full turn in [0, 1), and 0 for greys."""
     least, most = _ends(r, g, b)
-    share = over(jnp.ones_like(most), most - least)
+    share = divide_or_zero(jnp.ones_like(most), most - least)
     sextant = jnp.where(
         most == r, (g - b) * share, jnp.where(most == g, 2 + (b - r) * share, 4 + (r - g) * share)
     )
     turn = jnp.where(sextant < 0, sextant + 6, sextant) / 6
-    return jnp.where(most == least, 0, within(turn, 1.0))
+    return jnp.where(most == least, 0, reduce_turn(turn, 1.0))

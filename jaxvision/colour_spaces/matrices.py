@@ -6,7 +6,14 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalars, refuse_codes
-from ._components import Colours, checked, joined, multiplied, parts, times_matrix
+from ._components import (
+    Colours,
+    check_colours,
+    multiply_matrix,
+    parts,
+    stack_components,
+    times_matrix,
+)
 from .colour_data import cone_matrix, rgb_to_xyz_matrix
 
 
@@ -25,7 +32,7 @@ def apply_matrix(colours: Colours, matrix: Float[Array, "3 3"]) -> Colours:
     Raises:
         ValueError: for a last axis other than 3, and for integer codes.
     """
-    return multiplied(checked(colours), matrix)
+    return multiply_matrix(check_colours(colours), matrix)
 
 
 @takes_numbers
@@ -116,7 +123,7 @@ def adapt(
     scaled = [
         part * (sought[i] / seen[i]) for i, part in enumerate(parts(times_matrix(xyz, cones)))
     ]
-    return times_matrix(joined(*scaled), np.linalg.inv(cones))
+    return times_matrix(stack_components(*scaled), np.linalg.inv(cones))
 
 
 @takes_numbers

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..core._arguments import takes_numbers
 from ..core._types import check_choice, check_count, refuse_codes
-from ._components import Colours, checked, times_matrix
+from ._components import Colours, check_colours, times_matrix
 from .colour_data import luma_weights
 
 
@@ -53,7 +53,7 @@ def ycbcr_to_rgb(
         ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes.
     """
     _, inverse, zero = _ycbcr(standard, levels, bits)
-    refuse_codes(ycbcr := checked(ycbcr))
+    refuse_codes(ycbcr := check_colours(ycbcr))
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
     return times_matrix(centred, inverse)
 

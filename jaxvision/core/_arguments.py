@@ -68,7 +68,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def converting(*args: P.args, **kwargs: P.kwargs) -> R:
-        wanted, keys, records, placed = _expected(function)
+        wanted, keys, records, placed = _read_annotations(function)
         if len(args) > placed:
             raise _unnamed_error(function, placed, args)
         if not kwargs.keys() <= wanted.keys():
@@ -117,7 +117,7 @@ def takes_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function so that it raises `ValueError` for a concrete argument outside its
     allowed range. Apply this decorator before `takes_numbers`, on the line below."""
 
-    def of(function: Callable[P, R]) -> Callable[P, R]:
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
         names = list(signature(function).parameters)
 
         @wraps(function)
@@ -129,7 +129,7 @@ def takes_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         return checking
 
-    return of
+    return decorate
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
@@ -156,7 +156,7 @@ class _Expected(NamedTuple):
 
 
 @cache
-def _expected(function: Callable[..., Any]) -> _Expected:
+def _read_annotations(function: Callable[..., Any]) -> _Expected:
     hints, parameters = get_type_hints(function), signature(function).parameters
     contents = {name: _wanted_by_hint(name, hints.get(name)) for name in parameters}
     parts = {name: _parts(hints.get(name)) for name in parameters}

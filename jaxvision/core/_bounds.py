@@ -50,12 +50,12 @@ def cached(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
     argument."""
 
     @wraps(function)
-    def asked(ends: Ends[Any]) -> T:
+    def look_up(ends: Ends[Any]) -> T:
         if function.__name__ not in ends.__dict__:
             ends.__dict__[function.__name__] = function(ends)
         return ends.__dict__[function.__name__]
 
-    return asked
+    return look_up
 
 
 def numbers(x: object) -> np.ndarray:

@@ -107,14 +107,14 @@ def _format(value: Any, indent: str = "", *, units: bool = False) -> str:
         return eqx.tree_pformat(value)
     numbers = np.asarray(value)
     if numbers.size <= SHORT:
-        return _written(numbers)
+        return _number_text(numbers)
     return f"{numbers.dtype}{list(numbers.shape)} from {numbers.min():.4g} to {numbers.max():.4g}"
 
 
-def _written(numbers: np.ndarray) -> str:
+def _number_text(numbers: np.ndarray) -> str:
     if numbers.ndim == 0:
         return str(numbers) if numbers.dtype == bool else f"{numbers + 0:.6g}"  # no -0
-    return f"[{', '.join(map(_written, numbers))}]"
+    return f"[{', '.join(map(_number_text, numbers))}]"
 
 
 def _list_items(

@@ -26,12 +26,12 @@ def keep_context(work: Callable[[], T]) -> Callable[[], T]:
     variables of this thread."""
     context, double = contextvars.copy_context(), _double()
 
-    def done() -> T:
+    def run_in_context() -> T:
         # JAX's settings belong to a thread. A context that changes nothing would still recompile.
         with nullcontext() if _double() == double else jax.enable_x64(double):
             return context.run(work)
 
-    return done
+    return run_in_context
 
 
 def _double() -> bool:

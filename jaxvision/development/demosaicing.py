@@ -109,9 +109,11 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_
         at = _Shifted(materialise(lambda f: _extend_in_phase(f, 1, border), plane), 1)
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
-        return _chosen(layout, at(0, 0), (beside + above) / 4, beside / 2, above / 2, diagonal / 4)
+        return _select_bands(
+            layout, at(0, 0), (beside + above) / 4, beside / 2, above / 2, diagonal / 4
+        )
 
-    return _per_image(demosaic_plane, raw, pattern)
+    return _demosaic_images(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -149,7 +151,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
         far_beside, far_above = at(0, -2) + at(0, 2), at(-2, 0) + at(2, 0)
-        return _chosen(
+        return _select_bands(
             layout,
             own,
             green=(4 * own + 2 * (beside + above) - (far_beside + far_above)) / 8,
@@ -158,7 +160,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
             opposite=(6 * own + 2 * diagonal - 1.5 * (far_beside + far_above)) / 8,
         )
 
-    return _per_image(demosaic_plane, raw, pattern)
+    return _demosaic_images(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -208,7 +210,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
             rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 
-        def others(raw: Plane, green: Plane) -> tuple[Plane, Plane]:
+        def interpolate_others(raw: Plane, green: Plane) -> tuple[Plane, Plane]:
             first, second = differences_at_green(jnp.where(is_green, 0, raw - green))
             apart = along(first - second, _mean_of_two)
             return (
@@ -231,12 +233,12 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
                 jnp.where(is_green | ~is_first, second, raw - apart),
             )
 
-        first, second = materialise(others, plane, green)
+        first, second = materialise(interpolate_others, plane, green)
         if refine:
             green, first, second = materialise(refine_bands, plane, green, first, second)
         return _join(layout, green, first, second)
 
-    return _per_image(demosaic_plane, raw, pattern)
+    return _demosaic_images(demosaic_plane, raw, pattern)
 
 
 @takes_numbers
@@ -279,7 +281,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
             seen, plane[..., None], light / correlate_separable(weights, *tents, border="zero")
         )
 
-    return _per_image(demosaic_plane, raw, pattern)
+    return _demosaic_images(demosaic_plane, raw, pattern)
 
 
 METHODS: dict[str, Callable[..., Picture]] = {
@@ -328,7 +330,7 @@ def _layout(pattern: Pattern) -> _Layout:
     )
 
 
-def _chosen(
+def _select_bands(
     layout: _Layout, own: Plane, green: Plane, along: Plane, across: Plane, opposite: Plane
 ) -> Float[Array, "h w 3"]:
     """Select each pixel's three bands: its measured value `own`, and for the other bands estimates
@@ -359,7 +361,7 @@ def _join(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[A
 # ---------------------------------------------------------------- planes
 
 
-def _per_image(
+def _demosaic_images(
     demosaic_plane: Callable[[Plane], Float[Array, "h w bands"]], raw: Mosaic, pattern: Pattern
 ) -> Picture:
     check_pattern(pattern)
@@ -373,7 +375,9 @@ def _per_image(
     if 0 in planes.shape:
         return jnp.zeros((*planes.shape, 1 + max(map(max, pattern))), planes.dtype)
     if planes.dtype.itemsize < 4:  # half precision is too small for sums of codes
-        return _per_image(demosaic_plane, planes.astype(jnp.float32), pattern).astype(planes.dtype)
+        return _demosaic_images(demosaic_plane, planes.astype(jnp.float32), pattern).astype(
+            planes.dtype
+        )
     for _ in range(planes.ndim - 2):
         demosaic_plane = jax.vmap(demosaic_plane)
     return demosaic_plane(planes)

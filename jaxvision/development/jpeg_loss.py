@@ -113,11 +113,11 @@ def _tables(quality: Scalar | float, whole: bool) -> tuple[Table, Table]:
     enlarged = _part(jnp.full_like(divisor, 5000), _NO_TIE, divisor, whole)
     percent = jnp.where(low, enlarged, 200 - 2 * quality)
 
-    def scaled(table: np.ndarray) -> Table:
+    def scale_table(table: np.ndarray) -> Table:
         hundredfold = jnp.asarray(table, percent.dtype) * percent
         return jnp.clip(_part(hundredfold, 50 + _NO_TIE, 100, whole), 1, 255)
 
-    return scaled(_LUMA_TABLE), scaled(_CHROMA_TABLE)
+    return scale_table(_LUMA_TABLE), scale_table(_CHROMA_TABLE)
 
 
 @takes_numbers

@@ -178,16 +178,16 @@ def may_block(
     lamps = [k for k, source in enumerate(sources) if source.body is not None]
     places = stacked([body for source in sources if (body := source.body) is not None])
     for i, surface in enumerate(surfaces):
-        around = _within(surface, places, relative, reach, strictly=True)
+        around = _are_inside(surface, places, relative, reach, strictly=True)
         if around.any():
-            inside = _within(surface, bodies, relative, reach) & bounded
+            inside = _are_inside(surface, bodies, relative, reach) & bounded
             inside[i] = True
             may[np.ix_(np.array(lamps)[around], np.flatnonzero(inside), [i])] = False
-    _separated(may, sources, bodies, bounded, reach)
+    _exclude_disjoint(may, sources, bodies, bounded, reach)
     return may
 
 
-def _within(
+def _are_inside(
     surface: Ends[Surface], bodies: Bodies, relative: float, reach: float, *, strictly: bool = False
 ) -> np.ndarray:
     """Return flags, (n,): whether each body lies inside a given ball or box. The flags are False if
@@ -209,7 +209,7 @@ def _within(
     return (far + slack < room if strictly else far <= room + relative * size[:, None]).all(1)
 
 
-def _separated(
+def _exclude_disjoint(
     may: np.ndarray,
     sources: Sequence[Source],
     bodies: Bodies,

@@ -106,12 +106,12 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
         if not isinstance(own, jax.Array):
             hint = nearest(name, [*_names(scene, ""), *_names(camera, "")])
             raise InputError(f"free: {name!r} is no number of this scene and camera; {hint}.")
-        for end, value in enumerate(_checked(name, own, values)):
+        for end, value in enumerate(_check_ends(name, own, values)):
             held[end] = put(held[end], steps_of(name), value)
     return Ends(*scenes), Ends(*cameras)
 
 
-def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
+def _check_ends(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndarray]:
     """Return both ends of a free field in its shape and dtype."""
     try:
         low, high = (np.broadcast_to(np.asarray(v, float), own.shape) for v in values)

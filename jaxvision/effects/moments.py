@@ -52,7 +52,7 @@ def scene_rows(
         unknown = np.full_like(arriving.radiance, np.inf)
         return free, Arriving(unknown, 0.0, np.inf, unknown)
     times = moments_of(sensor, view.high.resolution[0], method.moments)
-    moved = _moved(scene, view, motion, times)
+    moved = _pose_at_times(scene, view, motion, times)
     found = [scene_stage(*ends, depth=depth, caustics=caustics)[:2] for ends in moved]
     everywhere = _unique_rows([rows, *(own for own, _ in found)])
     seen = [arriving, *(own for _, own in found)]
@@ -62,7 +62,7 @@ def scene_rows(
     return tuple(everywhere), Arriving(brightest, near, far, turning)
 
 
-def _moved(
+def _pose_at_times(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
     """Yield the scene and the view at each time, in s, with all parameters fixed."""

@@ -103,7 +103,7 @@ def moved(
         if same((scene, view), (now, seen)):
             continue
         still = False
-        pixels, why = _between(scene, view, now, seen)
+        pixels, why = _displacement_at(scene, view, now, seen)
         if pixels == INF:
             return INF, False, why
         farthest = max(farthest, pixels)
@@ -112,7 +112,7 @@ def moved(
     return farthest, False, f"{farthest:.3g} pixels from rest; the change of shading is not bounded"
 
 
-def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
+def _displacement_at(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
     """Return the largest displacement, pixels, from rest at one time, and why it is inf."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"

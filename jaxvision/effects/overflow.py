@@ -85,7 +85,9 @@ def _log_tail(charge: Charge, level: float) -> np.ndarray:
                 u = _SLOPES + _SLOPES**2 / 2
         log = u * (charge.light + charge.dark) + (u * charge.light * charge.prnu) ** 2 / 2
         if charge.prnu > 0:  # a sensitivity below 0 is taken as 0
-            log = np.logaddexp(log, u * charge.dark + math.log(_below(charge.prnu) + 1e-300))
+            log = np.logaddexp(
+                log, u * charge.dark + math.log(_negative_probability(charge.prnu) + 1e-300)
+            )
         if charge.hot > 0:
             room = 1 - u * charge.hot
             log = log - np.log(np.where(room > 0, room, 0))
@@ -93,7 +95,7 @@ def _log_tail(charge: Charge, level: float) -> np.ndarray:
     return np.where(np.isnan(tail), np.inf, tail)
 
 
-def _below(rms: float) -> float:
+def _negative_probability(rms: float) -> float:
     """Return the probability P(1 + rms g < 0) for a standard normal g."""
     return math.erfc(1 / rms / math.sqrt(2)) / 2
 
@@ -104,4 +106,6 @@ def sensitivity_bias(prnu: float) -> float:
     if prnu == 0:
         return 0.0
     z = 1 / prnu
-    return max(prnu * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - _below(prnu), 0.0)
+    return max(
+        prnu * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - _negative_probability(prnu), 0.0
+    )

@@ -57,11 +57,11 @@ def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
     )
 
 
-def _traced(scene: Scene, view: View, method: Paths) -> Traced:
+def _trace_paths(scene: Scene, view: View, method: Paths) -> Traced:
     return path_traced(jax.random.key(0), scene, view, method=method)
 
 
-_probe = jax.jit(_traced, compiler_options=FAST)
+_probe = jax.jit(_trace_paths, compiler_options=FAST)
 _rendered = jax.jit(render, compiler_options=FAST)
 
 

@@ -130,7 +130,7 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
             sent(sums, k, around=any_viewer, only=within) for any_viewer in (False, True)
         )
         lit = pictured(sums, onward(lamp, around))
-        return np.maximum(np.maximum(lit, _mirrored(sums, k, within)), least)
+        return np.maximum(np.maximum(lit, _mirrored_radiance(sums, k, within)), least)
 
     name = f"lights[{k}]"
     whole = amount(np.ones(len(dark), bool))
@@ -146,7 +146,7 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
     return replace(row, amount=lit, why=why, after=after)
 
 
-def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
+def _mirrored_radiance(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
     """Return the largest radiance, (bands,), that mirrors show once a lamp hides it no longer."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
@@ -223,23 +223,23 @@ def _largest_sent(
     sums: Sums,
     onward: Onward,
     i: int,
-    of_light: Callable[[int, bool], np.ndarray],
+    reflect_light: Callable[[int, bool], np.ndarray],
     others: np.ndarray,
 ) -> np.ndarray:
     """Bound the light in the picture, (bands,), that surface i reflects from all lights and from
-    other surfaces. `others`, (bands,), bounds the light from other surfaces. `of_light(k, around)`
+    other surfaces. `others`, (bands,), bounds the light from other surfaces. `reflect_light(k, around)`
     bounds the light of lamp k that each cell reflects, (c, bands), toward the eye or, if `around`,
     toward any viewer."""
     part = part_of(sums.cells, i)
 
-    def sent(around: bool) -> np.ndarray:
+    def sent_radiance(around: bool) -> np.ndarray:
         none = np.zeros((part.stop - part.start, 1)) + others
-        return sum((of_light(k, around)[part] for k in range(len(sums.sources))), none)
+        return sum((reflect_light(k, around)[part] for k in range(len(sums.sources))), none)
 
     if onward.depth is None:
-        return np.max(sent(False), axis=0, initial=0, where=sums.seen[part, None])
+        return np.max(sent_radiance(False), axis=0, initial=0, where=sums.seen[part, None])
     cells, on = np.zeros((2, len(sums.seen), sums.spectrum.shape[1]))
-    cells[part], on[part] = sent(False), sent(True)
+    cells[part], on[part] = sent_radiance(False), sent_radiance(True)
     return pictured(sums, onward(cells, on))
 
 
@@ -255,10 +255,10 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.lobe_radiance(i))
 
-    def of_light(k: int, around: bool) -> np.ndarray:
+    def reflect_light(k: int, around: bool) -> np.ndarray:
         return lobe_sent(sums, k, around=around)
 
-    amount = _largest_sent(sums, onward, i, of_light, others)
+    amount = _largest_sent(sums, onward, i, reflect_light, others)
     plain = hasattr(material, "diffuse") and hasattr(material, "specular")
     why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
@@ -296,12 +296,12 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
-    def of_light(k: int, _: bool) -> np.ndarray:
+    def reflect_light(k: int, _: bool) -> np.ndarray:
         even = times(sums.body[k][:, None], times(plain, sums.spectrum[k]))
         return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k]))
 
     others = times(np.pi * (plain + 2 * grazing), onward.diffuse_radiance(i))
-    amount = _largest_sent(sums, onward, i, of_light, others)
+    amount = _largest_sent(sums, onward, i, reflect_light, others)
     name = f"surfaces[{i}].material"
     if np.isinf(plain).any() or not hasattr(material, "diffuse"):
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
@@ -329,11 +329,11 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     others = times(np.pi * (1 + own.grazing) * k_body, onward.diffuse_radiance(i))
     others = others + times(_size(own.lobe) * of_lobe * sums.k_lobe[i], onward.lobe_radiance(i))
 
-    def of_light(k: int, around: bool) -> np.ndarray:
+    def reflect_light(k: int, around: bool) -> np.ndarray:
         body = times(sums.body[k][:, None], times(k_body, sums.spectrum[k]))
         return body + times(of_lobe, lobe_sent(sums, k, around=around))
 
-    amount = _largest_sent(sums, onward, i, of_light, others)
+    amount = _largest_sent(sums, onward, i, reflect_light, others)
     if field == "ambient":
         amount = sums.ambient[i]
     if own.mirror is not None or not place.startswith("material."):

@@ -178,7 +178,7 @@ def _direct(scene: Scene, view: View, samples: PixelSamples | None) -> jax.Array
 
 
 @jax.jit
-def _traced(scene: Scene, view: View, depth: jax.Array) -> jax.Array:
+def _trace_program(scene: Scene, view: View, depth: jax.Array) -> jax.Array:
     along = path_along(scene, Paths(1), depth=depth)
     return photograph(along, view, PixelSamples(jax.random.key(0), 1)).radiance
 
@@ -188,7 +188,7 @@ def _picture(
 ) -> jax.Array:
     if depth is None:
         return _direct(scene, view, samples)
-    return _traced(scene, view, jnp.asarray(max(depth, DIRECT), jnp.int32))
+    return _trace_program(scene, view, jnp.asarray(max(depth, DIRECT), jnp.int32))
 
 
 _lens = jax.jit(sensor_irradiance)

@@ -123,7 +123,7 @@ def bits(pixel: Pixel) -> Bound:
         ripple = math.exp(-2 * math.pi**2 * smooth)
         noise = growth(smooth, QUANTISATION_VARIANCE + 2 * (4 * smooth + math.pi**-2) * ripple)
         rounding = min(rounding, math.hypot(noise, 2 * ripple / math.pi))
-    clipped = _clipped(pixel)
+    clipped = _clipped_rms(pixel)
     why = f"rounds by {rounding:.2g} DN, clips {clipped:.2g} DN"
     return Bound(rounding + clipped, why, rank=pixel.rank_of_counts)
 
@@ -156,7 +156,7 @@ def _widest(pixel: Pixel) -> float:
     return sum(variances.values()) + (0.0 if trap is None else float(trap.amplitude) ** 2)
 
 
-def _clipped(pixel: Pixel) -> float:
+def _clipped_rms(pixel: Pixel) -> float:
     """Bound the root mean square of the part of a reading that the ADC clips, below 0 or above the
     largest number, in DN.
 
@@ -173,10 +173,10 @@ def _clipped(pixel: Pixel) -> float:
     top = 2 ** float(pixel.sensor.low["bits"]) - 1
     low = _gaussian_excess(noise, min(offsets))
     if pixel.charge.counting == "gaussian":
-        low = _below(pixel, min(offsets))
+        low = _negative_rms(pixel, min(offsets))
     low += pixel.gain * (1 + _TAIL * conversion) * (1 + _TAIL * column) * _negative(pixel)
     spare = (top - max(offsets)) / (pixel.gain * widest)
-    high = _above(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
+    high = _excess_rms(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
     second = (pixel.bright + pixel.bright**2) * pixel.grown**2 + _widest(pixel)
     beyond = pixel.gain * math.sqrt(second * 2 * _TAIL_ODDS * 4 * _TAIL**2)
     return math.hypot(low, high) + (beyond if max(conversion, column) > 0 else 0.0)
@@ -201,7 +201,7 @@ def _negative(pixel: Pixel) -> float:
     return pixel.grown * (pixel.deficit + max(below, default=0.0) * pixel.rms)
 
 
-def _above(pixel: Pixel, level: float, noise: float) -> float:
+def _excess_rms(pixel: Pixel, level: float, noise: float) -> float:
     """Bound the root mean square of the sum of charge N and Gaussian noise G above a level w, in
     electrons.
 
@@ -213,15 +213,19 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
         return INF
     well = pixel.sensor.high["full_well"]
 
-    def at(share: float) -> float:
+    def rms_for_share(share: float) -> float:
         cut = well is not None and float(well) <= share * level
         counted = 0.0 if cut else excess(pixel.charge, share * level).rms
         return counted + _gaussian_excess(noise, (1 - share) * level)
 
-    return min(at(share) for share in np.linspace(0.02, 0.99, 40)) if noise > 0 else at(1.0)
+    return (
+        min(rms_for_share(share) for share in np.linspace(0.02, 0.99, 40))
+        if noise > 0
+        else rms_for_share(1.0)
+    )
 
 
-def _below(pixel: Pixel, offset: float) -> float:
+def _negative_rms(pixel: Pixel, offset: float) -> float:
     """Bound the root mean square of readings below 0 DN for Gaussian counts N, whose variance
     equals their mean M. With v the variance of the read-out noise G, and o the offset, in
     electrons,

@@ -126,7 +126,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     extended = np.array([source.extended for source in sources], bool)
     shown = extended[:, None] & (k_mirror > 0).any(1)
     viewer = anywhere(eye) if bounces else eye
-    mirrored = _mirrored(sources, nearest, k_mirror.max(1) > 0, cells, viewer)
+    mirrored = _compute_mirrored(sources, nearest, k_mirror.max(1) > 0, cells, viewer)
     lit = (body + around > 0) | (shown[:, cells.surface] & mirrored)
     wanted = np.maximum.reduceat(lit, starts(cells), axis=-1)
     blocked = may_block(sources, surfaces, occluders=low.occluders, wanted=wanted)
@@ -235,7 +235,7 @@ def _geometry(
         return body, lobe_products(arrived, source, lobes, cells, eye), arrived.facing
 
 
-def _mirrored(
+def _compute_mirrored(
     sources: Sequence[Source], nearest: np.ndarray, mirrors: np.ndarray, cells: Cells, eye: Eye
 ) -> np.ndarray:
     """Compute `Sums.mirrored` from the cone of directions mirrored by `mirrors`, (n,)."""

@@ -210,7 +210,9 @@ def umbra_flags(
             least = np.maximum(shadow.least(whole)[there.surface], shadow.least(bodies_of(there)))
             size = shadow.size + of_cell[some]
             inside = (least >= -relative * size[:, None]).all(1)
-            beyond = _beyond(there, balls[there.surface], shadow, least[:, 0], _MARGIN * size)
+            beyond = _is_past_occluder(
+                there, balls[there.surface], shadow, least[:, 0], _MARGIN * size
+            )
             dark[k, some] = inside & beyond
     return dark
 
@@ -287,7 +289,7 @@ def _rim(shape: Shape) -> np.ndarray:
     return np.zeros((0, 3))
 
 
-def _beyond(
+def _is_past_occluder(
     cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
     """Return flags, (c,): whether a cell is certainly on the other side of the occluder than the

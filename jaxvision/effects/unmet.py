@@ -74,7 +74,7 @@ def unmet(
         blocks[list(occluders)] = True
     edges = _edges(eye)
     for source in sources:
-        never &= ~blocks | _separated(bodies, source, eye, edges)
+        never &= ~blocks | _has_separating_plane(bodies, source, eye, edges)
     return never
 
 
@@ -91,7 +91,9 @@ def _edges(eye: Eye) -> np.ndarray:
     return ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 
 
-def _separated(bodies: Bodies, source: Source, eye: Eye, edges: np.ndarray) -> np.ndarray:
+def _has_separating_plane(
+    bodies: Bodies, source: Source, eye: Eye, edges: np.ndarray
+) -> np.ndarray:
     """Return flags, (n,): whether a plane separates each body from the convex hull of the cone and
     the light."""
     count = len(bodies.points)

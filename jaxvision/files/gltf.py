@@ -140,14 +140,14 @@ def primitive_of(file: Gltf, mesh: int, primitive: int, *, uv: bool = False) -> 
     if len(indices) % 3 or not len(indices) or indices.max() >= len(vertices):
         raise unlike(label, f"{len(indices)} indices of {len(vertices)} vertices make no triangles")
 
-    def of_vertices(name: str, what: str, width: int) -> np.ndarray | None:
+    def read_vertex_values(name: str, what: str, width: int) -> np.ndarray | None:
         own = _numbers(file, attributes[name], width) if name in attributes else None
         if own is not None and len(own) != len(vertices):
             raise unlike(label, f"has not one {what} a vertex")
         return own
 
-    normals = of_vertices("NORMAL", "normal", 3)
-    known = of_vertices("TEXCOORD_0", "texture coordinate", 2) if uv else None
+    normals = read_vertex_values("NORMAL", "normal", 3)
+    known = read_vertex_values("TEXCOORD_0", "texture coordinate", 2) if uv else None
     return Primitive(vertices, indices.reshape(-1, 3).astype(np.int64), normals, known)
 
 

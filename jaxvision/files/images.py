@@ -642,7 +642,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:
         _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
-        if suffix in INTEGER_FORMATS and not _is_written(partial, array):
+        if suffix in INTEGER_FORMATS and not _reads_back(partial, array):
             raise InputError(f"{file}: what was written does not read back; is the disk full?")
 
 
@@ -766,7 +766,7 @@ def _write(
         raise InputError(f"{file}: cannot be written ({message}).")
 
 
-def _is_written(file: Path, written: np.ndarray) -> bool:
+def _reads_back(file: Path, written: np.ndarray) -> bool:
     try:
         read, _ = _read_by_openimageio(file)
     except InputError:

@@ -98,14 +98,14 @@ class _Numbers:
             self.fail(f"{what}: must be finite numbers; correct it.")
         return found
 
-    def one(self, what: str, low: float = -math.inf, high: float = math.inf) -> float:
+    def take_number(self, what: str, low: float = -math.inf, high: float = math.inf) -> float:
         value = float(self.take(1, what)[0])
         if not low <= value <= high:
             self.fail(f"{what} = {value:g}: must be from {low:g} to {high:g}; correct it.")
         return value
 
     def count(self, what: str, low: int, high: int = MAX_ANGLES) -> int:
-        value = self.one(what, low, high)
+        value = self.take_number(what, low, high)
         if value != round(value):
             self.fail(f"{what} = {value:g}: must be a whole number; correct it.")
         return int(value)
@@ -159,21 +159,21 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
         factor = float(np.interp(0, angles, numbers.take(pairs, "tilt factors")))
     elif tilt != "NONE":
         numbers.fail(f"TILT={tilt[:40]}: only NONE and INCLUDE are read; include the tilt factors.")
-    lamps = numbers.one("number of lamps", 0, 1e6)
-    lumens = numbers.one("lumens per lamp", -1, 1e10)
-    factor *= numbers.one("candela multiplier", 0, 1e6)
+    lamps = numbers.take_number("number of lamps", 0, 1e6)
+    lumens = numbers.take_number("lumens per lamp", -1, 1e10)
+    factor *= numbers.take_number("candela multiplier", 0, 1e6)
     rows = numbers.count("number of vertical angles", 2)
     columns = numbers.count("number of horizontal angles", 1)
     system: System = ("C", "B", "A")[numbers.count("photometric type", 1, 3) - 1]
     unit = (FOOT, 1.0)[numbers.count("units type", 1, 2) - 1]
     width, length, height = unit * numbers.take(3, "luminous opening")
-    factor *= numbers.one("ballast factor", 0, 1e3)
-    further = numbers.one("ballast-lamp photometric factor", -math.inf, math.inf)
+    factor *= numbers.take_number("ballast factor", 0, 1e3)
+    further = numbers.take_number("ballast-lamp photometric factor", -math.inf, math.inf)
     first = lines[0].strip().upper()
     # later versions give the field another meaning
     if not first.startswith("IES") or "91" in first:
         factor *= further
-    watts = numbers.one("input watts", 0, 1e7)
+    watts = numbers.take_number("input watts", 0, 1e7)
     ends = (0.0, 180.0) if system == "C" else (-90.0, 90.0)
     vertical = numbers.angles(rows, "vertical angles", *ends)
     turns = (-180.0, 360.0) if system == "C" else (-90.0, 90.0)
@@ -336,22 +336,22 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     if len(lines) < 28:
         raise InputError(f"{path}: has {len(lines)} lines, too few for EULUMDAT; it is cut off.")
 
-    def at(line: int) -> _Numbers:
+    def line_numbers(line: int) -> _Numbers:
         return _Numbers(path, [lines[line - 1].strip().replace(",", ".")])
 
-    symmetry = at(3).count("symmetry (line 3)", 0, 4)
-    planes = at(4).count("number of C planes (line 4)", 1)
-    rows = at(6).count("number of angles (line 6)", 2)
-    size = [at(i).one(f"line {i}", 0, 1e5) / 1000 for i in (16, 17, 18)]  # m
-    ratio = at(23).one("light output ratio (line 23)", 0, 1e4)
-    factor = at(24).one("conversion factor (line 24)", 0, 1e6)
-    sets = at(26).count("number of lamp sets (line 26)", 1, 20)
+    symmetry = line_numbers(3).count("symmetry (line 3)", 0, 4)
+    planes = line_numbers(4).count("number of C planes (line 4)", 1)
+    rows = line_numbers(6).count("number of angles (line 6)", 2)
+    size = [line_numbers(i).take_number(f"line {i}", 0, 1e5) / 1000 for i in (16, 17, 18)]  # m
+    ratio = line_numbers(23).take_number("light output ratio (line 23)", 0, 1e4)
+    factor = line_numbers(24).take_number("conversion factor (line 24)", 0, 1e6)
+    sets = line_numbers(26).count("number of lamp sets (line 26)", 1, 20)
     start = 26 + 6 * sets
     flux_line, watts_line = _first_lamp_set(path, lines[26:start], sets)
     if len(lines) < start + 10:
         raise InputError(f"{path}: ends within its sets of lamps; it is cut off.")
-    lumens = at(flux_line).one("flux of the lamps", 0, 1e10)
-    watts = at(watts_line).one("power of the lamps", 0, 1e7)
+    lumens = line_numbers(flux_line).take_number("flux of the lamps", 0, 1e10)
+    watts = line_numbers(watts_line).take_number("power of the lamps", 0, 1e7)
     words = [line.strip().replace(",", ".") for line in lines[start + 10 :] if line.strip()]
     numbers = _Numbers(path, words)
     turns = numbers.angles(planes, "C planes", 0, 360)

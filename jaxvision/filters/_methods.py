@@ -89,11 +89,11 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
         f = jnp.moveaxis(padded(image, size, anchor, border), -1, 1)
         return _transform(f, _spectrum(k, f.shape, precision))
 
-    def finished(sums: Planes) -> Result:
+    def crop(sums: Planes) -> Result:
         return jnp.moveaxis(sums[:, :, :rows, :columns], 1, -1).astype(given)
 
     if PLAIN:  # JAX cannot differentiate the choice
-        return finished(whole(_widest()))
+        return crop(whole(_widest()))
 
     largest, darkest, bound = _range(image, k)
 
@@ -117,7 +117,7 @@ def correlate_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> 
     # XLA's minima may ignore NaN, which a transform spreads over the whole plane
     known = jnp.isfinite(sums[:, :, 0, 0]).all()
     right = known & lax.cond(right, lambda: right, else_right)
-    return finished(_correlate_tiles(image, k, around, sums, right))
+    return crop(_correlate_tiles(image, k, around, sums, right))
 
 
 def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
@@ -180,7 +180,7 @@ def _correlate_tiles(
         blank = jax.eval_shape(spectra)
         wide = lax.cond(right, lambda: jnp.zeros_like(blank), spectra)
 
-    def one(number: Array, whole: Planes) -> Planes:
+    def correlate_tile(number: Array, whole: Planes) -> Planes:
         image_of, band, i, j = jnp.unravel_index(number, (n, c, down, across))
         y, x = jnp.minimum(i * tile[0], rows - tile[0]), jnp.minimum(j * tile[1], columns - tile[1])
         down_to, right_to = (
@@ -194,7 +194,7 @@ def _correlate_tiles(
         sums = _sum_magnitudes(part, weights, spectrum)
         return lax.dynamic_update_slice(whole, sums, (image_of, band, y, x))
 
-    return lax.fori_loop(0, jnp.where(right, 0, n * c * down * across), one, whole)
+    return lax.fori_loop(0, jnp.where(right, 0, n * c * down * across), correlate_tile, whole)
 
 
 def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:

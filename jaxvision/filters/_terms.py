@@ -53,11 +53,11 @@ class Settings(NamedTuple):
 def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
     """Correlate the picture with the sum of the terms, including the contribution of the border."""
     warn_of_idle_fill(fill, settings.border)
-    return _filtered(picture, terms, fill, settings)
+    return _apply_terms(picture, terms, fill, settings)
 
 
 @partial(jax.jit, static_argnames="settings")
-def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
+def _apply_terms(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
     anchor, border, method = settings
     image, restore = as_planes(picture)
     passes = tuple(_passes(term, image.dtype) for term in terms)

@@ -239,7 +239,7 @@ def summed(
         _check_bands(kernel.shape[2], picture)
     check_border(border)
     method = _method(method, kernel, picture)
-    terms = _factored(kernel, picture) if method == "separable" else (kernel,)
+    terms = _separate(kernel, picture) if method == "separable" else (kernel,)
     return terms, Settings(_anchor(anchor, size), border, method)
 
 
@@ -296,7 +296,7 @@ def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarr
     return u[:, :, :rank], s[:, :rank], v[:, :rank]
 
 
-def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
+def _separate(kernel: AnyKernel, picture: Picture) -> Terms:
     u, s, v = _singular(kernel, picture)
     down, along = u * np.sqrt(s)[:, None], v * np.sqrt(s)[:, :, None]
     return tuple(Separable(down[:, :, k].T, along[:, k].T) for k in range(s.shape[1]))

@@ -192,15 +192,17 @@ def _warp(
     offsets = (jnp.arange(samples, dtype=image.dtype) + 0.5) / samples - 0.5
     places = jnp.stack([rows, columns]).astype(image.dtype)
 
-    def at(places: Float[Array, "2 h w"]) -> Float[Array, "images h w bands"]:
+    def sample_at(places: Float[Array, "2 h w"]) -> Float[Array, "images h w bands"]:
         def plane(values: Float[Array, "_ _"]) -> Float[Array, "h w"]:
             return map_coordinates(values, list(places), order=1, mode=BORDERS[border])
 
         return jax.vmap(jax.vmap(plane, -1, -1))(image - outside) + outside
 
     if samples == 1:
-        return restore(at(places))
+        return restore(sample_at(places))
     down, right = (jnp.gradient(places, axis=axis) for axis in (1, 2))
     shifts = jnp.stack(jnp.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-    total = jax.lax.map(lambda shift: at(places + shift[1] * down + shift[0] * right), shifts)
+    total = jax.lax.map(
+        lambda shift: sample_at(places + shift[1] * down + shift[0] * right), shifts
+    )
     return restore(total.mean(axis=0))

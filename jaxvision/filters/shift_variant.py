@@ -110,7 +110,7 @@ def correlate_per_pixel(
     if kernels.ndim != 4 or 0 in kernels.shape or kernels.shape[2:] != plane:
         raise ValueError(f"kernels must be (kh, kw, {plane[0]}, {plane[1]}), got {kernels.shape}.")
     anchor = _anchor(anchor, (kernels.shape[0], kernels.shape[1]))
-    return _per_pixel(picture, as_float(kernels), anchor=anchor, border=border)
+    return _correlate_pixels(picture, as_float(kernels), anchor=anchor, border=border)
 
 
 @takes_numbers
@@ -277,7 +277,9 @@ def gaussian_varying(
 
 
 @partial(jax.jit, static_argnames=("anchor", "border"))
-def _per_pixel(picture: Picture, kernels: Kernels, *, anchor: Anchor, border: str) -> Filtered:
+def _correlate_pixels(
+    picture: Picture, kernels: Kernels, *, anchor: Anchor, border: str
+) -> Filtered:
     kh, kw, h, w = kernels.shape
     reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])
     wide, restore = _rows_of_planes(picture, reach, border)

@@ -72,7 +72,7 @@ def _first_hits(scene: Any, origin: np.ndarray, direction: np.ndarray) -> np.nda
     return found
 
 
-def _found_before(
+def _is_blocked(
     scene: Any, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray
 ) -> np.ndarray:
     found = scene.run(origin, direction, dists=distance, query="OCCLUDED") >= 0
@@ -120,7 +120,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
     return np.asarray(one_by_one).reshape(batch)
 
 
-_nearest, _blocks = partial(_ask, _first_hits), partial(_ask, _found_before)
+_nearest, _blocks = partial(_ask, _first_hits), partial(_ask, _is_blocked)
 
 
 def _split_by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:

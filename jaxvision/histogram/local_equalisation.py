@@ -205,16 +205,16 @@ def _blend(
         for size, parts, length in zip(stack.shape[1:3], tiles, tile, strict=True)
     )
 
-    def at(row: np.ndarray, column: np.ndarray) -> Float[Array, "..."]:
+    def apply_curve(row: np.ndarray, column: np.ndarray) -> Float[Array, "..."]:
         return curve(_group(plane, jnp.asarray(row), jnp.asarray(column), tiles))
 
-    above_left = at(top, left)
+    above_left = apply_curve(top, left)
     dtype = above_left.dtype
     x = jnp.asarray(along, dtype)[None, None, :, None]
     y = jnp.asarray(down, dtype)[None, :, None, None]
-    above = above_left + x * (at(top, right) - above_left)
-    below_left = at(bottom, left)
-    below = below_left + x * (at(bottom, right) - below_left)
+    above = above_left + x * (apply_curve(top, right) - above_left)
+    below_left = apply_curve(bottom, left)
+    below = below_left + x * (apply_curve(bottom, right) - below_left)
     return above + y * (below - above)
 
 

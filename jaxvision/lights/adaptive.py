@@ -86,12 +86,12 @@ def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float
 
         return integral
 
-    def closed(light: RectangleLight, points: Vec, normals: Vec) -> Array:
+    def closed_form(light: RectangleLight, points: Vec, normals: Vec) -> Array:
         axes = (None, 0, 0 if normals.x.ndim else None)
         return jax.vmap(rectangle_irradiance, axes)(light, points, normals)
 
     rule = jnp.max(jax.lax.stop_gradient(_rules(light, points, normals, tolerance)))
-    branches = [*(with_order(order) for order in _ORDERS), closed]
+    branches = [*(with_order(order) for order in _ORDERS), closed_form]
     return jax.lax.switch(rule, branches, light, points, normals)
 
 

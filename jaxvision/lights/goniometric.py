@@ -200,14 +200,14 @@ def relative_intensity(light: Goniometric, direction: Direction) -> Scalar:
         0.4097
     """
     vertical, horizontal = _angles(as_vec(direction), light.system)
-    rows = _between(light.vertical, vertical)
+    rows = _interpolation_nodes(light.vertical, vertical)
     if light.horizontal.shape[0] == 1:
         columns = jnp.zeros((), int), jnp.zeros((), int), 0 * vertical, True
     else:
         if light.system == "C":
             first = light.horizontal[0]
             horizontal = first + jnp.mod(horizontal - first, _TURN)
-        columns = _between(light.horizontal, horizontal)
+        columns = _interpolation_nodes(light.horizontal, horizontal)
     (i, j, s, above), (k, m, t, within) = rows, columns
     table = light.distribution
     upper = (1 - t) * table[i, k] + t * table[i, m]
@@ -241,7 +241,9 @@ def _azimuth(y: Scalar, x: Scalar) -> Scalar:
     return jnp.where(aside, jnp.arctan2(jnp.where(aside, y, 0), jnp.where(aside, x, 1)), 0)
 
 
-def _between(nodes: Float[Array, " n"], x: Scalar) -> tuple[Array, Array, Scalar, Array]:
+def _interpolation_nodes(
+    nodes: Float[Array, " n"], x: Scalar
+) -> tuple[Array, Array, Scalar, Array]:
     """Return the indices of the two nodes next to `x`, the interpolation weight of the second one,
     and whether `x` lies between the outermost nodes, up to rounding."""
     last = nodes.shape[0] - 1
@@ -349,7 +351,7 @@ def _pdf(light: GoniometricAreaLight, point: Vector, wi: Direction) -> Scalar:
     return window_pdf(_window(light), point, wi)
 
 
-def _emitted(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: GoniometricAreaLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray from the lamp's front, uniform by area and over the hemisphere of directions. The
     flux of the ray is 2 pi I, W, where I is the intensity in its direction."""
     normal = normalize(cross(light.edge_u, light.edge_v))
@@ -528,7 +530,7 @@ register_extended(
     seen=_radiance_along,
     sample=_sample,
     pdf=_pdf,
-    emitted=_emitted,
+    emitted=_emit,
     bound=_opening,
     word="",
 )

@@ -210,7 +210,7 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
     return total
 
 
-def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray through a random point of the aperture and a random point of the focal window, by
     `u`, (4,) uniform in [0, 1), with its flux, (bands,) W."""
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
@@ -231,7 +231,7 @@ register_extended(
     seen=light_field_seen,
     sample=light_field_sample,
     pdf=light_field_pdf,
-    emitted=_emitted,
+    emitted=_emit,
     bound=lambda light: _window_bound(light, light.field("aperture")),
     word="",
 )

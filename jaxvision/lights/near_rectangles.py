@@ -75,7 +75,7 @@ def found_near(
         return None
     points, normals, distances = points[used], normals[used], distances[used]
     at, turned, back = (jnp.asarray(x, light.corner.dtype) for x in (points, normals, -across))
-    compared = _compared(light, at, turned, back, rule.order)
+    compared = _compare_irradiances(light, at, turned, back, rule.order)
     true, found, facing = (np.asarray(x, float) for x in compared)
     if not np.abs(found - true).sum() > MISSED * facing.sum():
         return None
@@ -100,7 +100,7 @@ def _may_fail(nearest: float, order: int) -> bool:
 
 
 @eqx.filter_jit
-def _compared(
+def _compare_irradiances(
     light: RectangleLight, points: Array, normals: Array, facing: Array, order: int
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
     """Return three irradiances of each receiver, each (n,) W m^-2, averaged over the bands: the
@@ -108,14 +108,14 @@ def _compared(
     light."""
     nodes, weights = (jnp.asarray(x, points.dtype) for x in square_nodes(order))
 
-    def one(point: Array, normal: Array) -> tuple[Array, Array, Array]:
+    def compare_receiver(point: Array, normal: Array) -> tuple[Array, Array, Array]:
         arriving = jax.vmap(lambda u: rectangle_sample(light, point, u))(nodes)
         cosines = jax.vmap(lambda wi: jnp.maximum(dot(normal, wi), 0))(arriving.direction)
         found = ((weights * cosines)[:, None] * arriving.irradiance).sum(0)
         true, most = (rectangle_irradiance(light, point, n) for n in (normal, facing))
         return true.mean(), found.mean(), most.mean()
 
-    return jax.vmap(one)(points, normals)
+    return jax.vmap(compare_receiver)(points, normals)
 
 
 def warn_of_near_receiver(
@@ -127,7 +127,7 @@ def warn_of_near_receiver(
     if not (is_known(point) and is_known(normal)) or point.ndim > 1:
         return
     receiver = np.asarray(point, float)[None], np.asarray(normal, float)[None]
-    for i, light, rule in _checked(lights, rules):
+    for i, light, rule in _sampled_rectangles(lights, rules):
         with jax.ensure_compile_time_eval():  # known values may occur inside a trace
             wrong = found_near(light, rule, *receiver)
         if wrong is not None:
@@ -141,7 +141,7 @@ def warn_of_near_surfaces(
     """Warn of the first rectangle whose quadrature finds far too little or too much light on a
     surface. Traced lights and surfaces are not checked. `cure`: a sentence."""
     known = [s for s in surfaces if all(map(is_known, jax.tree.leaves(s.shape)))]
-    for i, light, rule in _checked(lights, rules):
+    for i, light, rule in _sampled_rectangles(lights, rules):
         with jax.ensure_compile_time_eval():
             wrong = found_on_surfaces(light, rule, known)
         if wrong is not None:
@@ -163,7 +163,7 @@ def found_on_surfaces(
     return None
 
 
-def _checked(
+def _sampled_rectangles(
     lights: Sequence[Light], rules: Sequence[Rule]
 ) -> Iterator[tuple[int, RectangleLight, Quadrature]]:
     """Yield the rectangles of known numbers that a quadrature samples, with their indices."""
@@ -196,10 +196,10 @@ def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray
             normals = away / np.where(length > 0, length, 1)
             yield centre + float(shape.radius) * normals, normals
         case Plane():
-            yield _projected(places, np.asarray(shape.point, float), _unit(shape.normal))
+            yield _project(places, np.asarray(shape.point, float), _unit(shape.normal))
         case Disc():
             centre, normal = np.asarray(shape.centre, float), _unit(shape.normal)
-            points, normals = _projected(places, centre, normal)
+            points, normals = _project(places, centre, normal)
             inside = np.linalg.norm(points - centre, axis=-1) <= float(shape.radius)
             yield (
                 np.concatenate([points[inside], centre[None]]),
@@ -233,7 +233,7 @@ def _unit(x: ArrayLike) -> np.ndarray:
     return vector / (np.linalg.norm(vector) or 1)
 
 
-def _projected(
+def _project(
     places: np.ndarray, start: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the feet of perpendiculars on a plane, m, and its normal for each."""
@@ -247,7 +247,7 @@ def _feet_on_flat(
     """Return the feet of perpendiculars that lie in a parallelogram, or in its triangle for a
     `share` of 0.5, and its middle."""
     normal = _unit(np.cross(a, b))
-    points, _ = _projected(places, start, normal)
+    points, _ = _project(places, start, normal)
     (s, t), *_ = np.linalg.lstsq(np.stack([a, b], 1), (points - start).T, rcond=None)
     inside = (s >= 0) & (t >= 0) & ((s + t <= 1) if share < 1 else (s <= 1) & (t <= 1))
     middle = start + (a + b) * (1 / 2 if share == 1 else 1 / 3)

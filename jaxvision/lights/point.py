@@ -60,7 +60,7 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
     return toward * nearness, square * nearness, dilution
 
 
-def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: PointLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray in a direction that is uniform over the sphere, by u_2 and u_3 of `u`, (4,)
     uniform in [0, 1). The flux of the ray is 4 pi I, (bands,) W, where I is the intensity."""
     direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
@@ -77,4 +77,4 @@ def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Sourc
     return Source(peak(light, "intensity"), middle[None], own * size, own, normal, body, "place")
 
 
-register(PointLight, incident=from_point_light, emitted=_emitted, bound=_place_bound)
+register(PointLight, incident=from_point_light, emitted=_emit, bound=_place_bound)

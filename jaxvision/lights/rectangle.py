@@ -105,7 +105,7 @@ def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar
     return window_pdf(window_of(light), point, wi)
 
 
-def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray from the rectangle's front, uniform by area and cosine-distributed about the
     normal, by `u`, (4,) uniform in [0, 1). The flux of the ray is pi A L, (bands,) W, where A is
     the area and L the radiance."""
@@ -138,6 +138,6 @@ register_extended(
     seen=rectangle_seen,
     sample=rectangle_sample,
     pdf=rectangle_pdf,
-    emitted=_emitted,
+    emitted=_emit,
     bound=_bound,
 )

@@ -60,7 +60,7 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
     return Incident(direction, irradiance, distance)
 
 
-def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray that is cosine-distributed about the light's normal, by u_2 and u_3. The flux of
     the ray is pi I, W, where I is the intensity."""
     local = cosine_direction(u[2:])
@@ -75,4 +75,4 @@ def _bound(light: Ends[SmallLight]) -> Source:
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 
 
-register(SmallLight, incident=from_small_light, emitted=_emitted, bound=_bound)
+register(SmallLight, incident=from_small_light, emitted=_emit, bound=_bound)

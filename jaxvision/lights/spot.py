@@ -104,7 +104,7 @@ def from_spot_light(light: SpotLight, point: Vector) -> Incident:
     return Incident(direction, map_bands(lambda band: band * factor, light.intensity), distance)
 
 
-def _emitted(light: SpotLight, u: Float[Array, "4"]) -> Emitted:
+def _emit(light: SpotLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray that is uniform in the outer cone, by u_2 and u_3. The flux of the ray is 2 pi (1
     - cos(outer)) times the intensity in its direction, W."""
     wide = 1 - jnp.cos(light.outer)
@@ -132,7 +132,7 @@ def _from_file(
 register(
     SpotLight,
     incident=from_spot_light,
-    emitted=_emitted,
+    emitted=_emit,
     bound=_place_bound,
     from_file=_from_file,
 )

@@ -57,11 +57,11 @@ def v_cycle(grids: Grids, residual: Plane) -> Plane:
     x = smoothing * residual
     coarse = restrict(residual - apply_stencil(stencil, x))
     correction = v_cycle(Grids(grids.stencils[1:], grids.coarsest), coarse)
-    x = x + interpolated(correction, residual.shape)
+    x = x + interpolate(correction, residual.shape)
     return x + smoothing * (residual - apply_stencil(stencil, x))
 
 
-def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
+def interpolate(coarse: Grid, shape: tuple[int, ...]) -> Grid:
     """Apply P: pixel (2 i, 2 j) of the result, (h, w), is coarse (i, j), and the pixels between are
     means of their coarse neighbours.
     """
@@ -70,9 +70,9 @@ def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
 
 
 def restrict(fine: Grid) -> Grid:
-    """Apply P^T, the transpose of `interpolated`."""
+    """Apply P^T, the transpose of `interpolate`."""
     coarse = jnp.zeros(_coarse_shape(fine.shape), fine.dtype)
-    return jax.linear_transpose(lambda x: interpolated(x, fine.shape), coarse)(fine)[0]
+    return jax.linear_transpose(lambda x: interpolate(x, fine.shape), coarse)(fine)[0]
 
 
 def _double(x: Grid, size: int, axis: int) -> Grid:
@@ -95,13 +95,13 @@ def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
     rows, columns = _coarse_shape(shape)
     y, x = np.mgrid[:rows, :columns]
 
-    def seen(tooth: Int[Array, "2"]) -> Grid:
+    def respond(tooth: Int[Array, "2"]) -> Grid:
         comb = (jnp.asarray(y % 5) == tooth[0]) & (jnp.asarray(x % 5) == tooth[1])
-        fine = interpolated(comb.astype(stencil.dtype), shape)
+        fine = interpolate(comb.astype(stencil.dtype), shape)
         return restrict(apply_stencil(stencil, fine))
 
     teeth = jnp.asarray(list(product(range(5), repeat=2)))
-    answers = jax.lax.map(seen, teeth)  # (25, rows, columns)
+    answers = jax.lax.map(respond, teeth)  # (25, rows, columns)
     offsets = np.arange(-2, 3)
     dy, dx = offsets[:, None, None, None], offsets[None, :, None, None]
     tooth = (y + dy) % 5 * 5 + (x + dx) % 5

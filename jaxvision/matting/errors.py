@@ -121,7 +121,7 @@ def _draw_picture(
     tolerance = jnp.asarray(_least_residual(image), image.dtype)
     sides = [_side(image, at[..., None]) for at in (trimap >= FOREGROUND, trimap <= BACKGROUND)]
 
-    def one(key: Array) -> Float[Array, "h w 1"]:
+    def draw_error(key: Array) -> Float[Array, "h w 1"]:
         front, behind = (
             jnp.maximum(smooth + _texture(own, texture), 0)
             for own, (smooth, texture) in zip(jax.random.split(key), sides, strict=True)
@@ -129,7 +129,7 @@ def _draw_picture(
         drawn = alpha * front + (1 - alpha) * behind
         return _solve(drawn, trimap, epsilon, confidence, tolerance, STEPS).alpha - alpha
 
-    return jax.lax.map(one, keys)
+    return jax.lax.map(draw_error, keys)
 
 
 def _side(

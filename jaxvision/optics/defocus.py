@@ -108,7 +108,7 @@ def gather_defocus(
         >>> bool(blurred[2, 2, 0] < 0.3), round(float(blurred.sum()), 3)  # spread, and none is lost
         (True, 1.0)
     """
-    return _gathered(view, picture, _blur(view, depth), radius=radius, members=members)
+    return _gather(view, picture, _blur(view, depth), radius=radius, members=members)
 
 
 @takes_numbers
@@ -136,7 +136,7 @@ def scatter_defocus(
     turned = -_blur(view, depth)
 
     def gather(light: Picture) -> Picture:
-        return _gathered(view, light, turned, radius=radius, members=members)
+        return _gather(view, light, turned, radius=radius, members=members)
 
     return adjoint(picture, operator=gather)
 
@@ -236,7 +236,7 @@ def chromatic_defocus(
     shifts = vergence_difference(view.focal_length, focal_lengths) * _pixels_per_vergence(view)
 
     def blur_band(plane: Float[Array, "h w"], shift: Float[Array, ""]) -> Float[Array, "h w"]:
-        return _gathered(view, plane, scale + shift, radius=radius, members=None)
+        return _gather(view, plane, scale + shift, radius=radius, members=None)
 
     return jax.vmap(blur_band, in_axes=(-1, 0), out_axes=-1)(picture, shifts)
 
@@ -253,7 +253,7 @@ def _pixels_per_vergence(view: ThinLens) -> Scalar:
     return radius / view.pixel_pitch * _reciprocal(sensor_vergence(view))
 
 
-def _gathered(
+def _gather(
     view: ThinLens, picture: Plane, scale: Depth, *, radius: int, members: int | None
 ) -> Plane:
     check_count("radius", radius, 1)

@@ -168,7 +168,7 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
     inverse = 1 / far
     wave = jnp.cos(far - np.pi / 4), jnp.sin(far - np.pi / 4)
 
-    def expanded(order: int) -> tuple[Array, Array]:
+    def expand_hankel(order: int) -> tuple[Array, Array]:
         """Return the slowly varying functions P and Q of Hankel's expansion for the Bessel function
         of this order.
         """
@@ -178,7 +178,7 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
             sums[k % 2] = sums[k % 2] + (1, 1, -1, -1)[k % 4] * term
         return sums[0], sums[1]
 
-    (p0, q0), (p1, q1) = expanded(0), expanded(1)
+    (p0, q0), (p1, q1) = expand_hankel(0), expand_hankel(1)
     j0, j1 = p0 * wave[0] - q0 * wave[1], p1 * wave[1] + q1 * wave[0]
     return 2 / np.pi * inverse * (j0 * j0 + j1 * j1)
 

@@ -175,7 +175,7 @@ def _side(
     half = jnp.where(some, safe_sqrt(radius * radius / scale - beside * beside), 0)
     enters, leaves = jnp.clip(nearest - half, 0, 1), jnp.clip(nearest + half, 0, 1)
 
-    def drawn_in(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    def move_inside(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
         away_x, away_y = x - right, y - down
         square = away_x * away_x + away_y * away_y
         outside = square > radius * radius
@@ -189,10 +189,10 @@ def _side(
         )
 
     places = (
-        drawn_in(x0, y0),
-        drawn_in(x0 + enters * along_x, y0 + enters * along_y),
-        drawn_in(x0 + leaves * along_x, y0 + leaves * along_y),
-        drawn_in(x1, y1),
+        move_inside(x0, y0),
+        move_inside(x0 + enters * along_x, y0 + enters * along_y),
+        move_inside(x0 + leaves * along_x, y0 + leaves * along_y),
+        move_inside(x1, y1),
     )
     start, first, last, end = places
     twice = (

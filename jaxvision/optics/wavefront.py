@@ -146,7 +146,7 @@ def wavefront_kernel(
     places = jnp.asarray((np.arange(size)[:, None] - size // 2 + nodes / 2).ravel(), dtype)
     share = jnp.asarray(np.tile(share, size), dtype)
 
-    def at(wavelength: Scalar) -> Float[Array, "size size"]:
+    def kernel_at(wavelength: Scalar) -> Float[Array, "size size"]:
         scale = jnp.pi * pixel_pitch / (wavelength * f_number)
         fields = []
         for radius, error in parts:
@@ -163,9 +163,9 @@ def wavefront_kernel(
         return kernel / kernel.sum()
 
     if wavelength.ndim == 0:
-        return at(wavelength)
+        return kernel_at(wavelength)
     lines = wavelength.reshape(len(wavelength), -1)
-    return jax.vmap(lambda band: jax.lax.map(at, band).mean(axis=0), out_axes=-1)(lines)
+    return jax.vmap(lambda band: jax.lax.map(kernel_at, band).mean(axis=0), out_axes=-1)(lines)
 
 
 def _polar(radius: Array | float, phase: Array) -> Array:

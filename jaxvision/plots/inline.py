@@ -36,14 +36,14 @@ def inline_svg(
     Text remains text in the SVG, of the given size in points. Lines in the colour `INK` take the
     text colour of the page."""
 
-    def drawn() -> "Figure":
+    def make_figure() -> "Figure":
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=size, layout="constrained")
         draw(figure.add_subplot())
         return figure
 
-    return figure_svg(drawn, font=font)
+    return figure_svg(make_figure, font=font)
 
 
 def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:

@@ -142,7 +142,7 @@ def lobe(
                 "leave it out."
             )
 
-        def reflected(angle: np.ndarray, material: Material = material) -> np.ndarray:
+        def reflect(angle: np.ndarray, material: Material = material) -> np.ndarray:
             viewers = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)
             seen = _brdf_toward(material, light, jnp.asarray(viewers, dtype))
             return np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
@@ -155,7 +155,7 @@ def lobe(
             if n is not None
             for s in (-1, 1)
         ]
-        angle, radius = refined(reflected, first, peaks=np.concatenate(peaks))
+        angle, radius = refined(reflect, first, peaks=np.concatenate(peaks))
         shown = radius / (radius.max() or 1) if shape_only else radius
         label = name or ("sum" if parts else None)
         x = angle if polar else np.degrees(angle)

@@ -45,7 +45,7 @@ def graded_filter(
     right, up = _centred_places(rows, columns, image.dtype, unit=rows)
     along = jnp.cos(angle) * right + jnp.sin(angle) * up
     t = jnp.clip((along - centre) / jnp.maximum(width, smallest_divisor(image.dtype)) + 0.5, 0, 1)
-    return image * _per_pixel(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
+    return image * _broadcast_map(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
 
 
 @takes_numbers
@@ -68,7 +68,7 @@ def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
     Source: the "pa" model of lens tables.
     """
     image, rows, columns = _check_size(image)
-    return image * _per_pixel(_falloff(rows, columns, image.dtype, coefficients), image)
+    return image * _broadcast_map(_falloff(rows, columns, image.dtype, coefficients), image)
 
 
 @takes_numbers
@@ -88,7 +88,7 @@ def correct_vignetting(image: Picture, coefficients: Float[Array, " terms"]) -> 
     image, rows, columns = _check_size(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
     inverse = divide(1, falloff, ~(falloff <= smallest_divisor(image.dtype)))
-    return image * _per_pixel(inverse, image)
+    return image * _broadcast_map(inverse, image)
 
 
 def _falloff(
@@ -125,7 +125,7 @@ def _centred_places(
     return jnp.broadcast_to(right, (rows, columns)), jnp.broadcast_to(up[:, None], (rows, columns))
 
 
-def _per_pixel(values: Float[Array, "h w"], image: Picture) -> Float[Array, "..."]:
+def _broadcast_map(values: Float[Array, "h w"], image: Picture) -> Float[Array, "..."]:
     """Reshape a map (h, w) to broadcast over a batch of images."""
     if image.ndim == 2:
         return values

@@ -97,13 +97,13 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
     base, exponent = jnp.where(linear < 0.0015, 1, linear), exact(Fraction(10, 24), linear.dtype)
     if method == "power":
         root, rest = power_in_parts(base, exponent)
-        encoded = _above_offset(root, 1.055 * rest)
+        encoded = _round_once(root, 1.055 * rest)
     else:
         encoded = 1.055 * _raise_to_power(base, exponent, method) - 0.055
     return jnp.where(curved, encoded, 12.92 * linear)
 
 
-def _above_offset(root: Scalars, rest: Scalars) -> Scalars:
+def _round_once(root: Scalars, rest: Scalars) -> Scalars:
     """Return 1.055 root - 0.055 + rest, rounding only the root and the last sum (Knuth, The Art of
     Computer Programming 2, section 4.2.2)."""
     offset, offset_rest = exact(Fraction(55, 1000), root.dtype)

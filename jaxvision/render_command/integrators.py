@@ -58,11 +58,11 @@ def pixels_of(
     `threshold`, in W m^-2 sr^-1, as in `render`."""
     compute = _seeded_traces_of(source, settings, threshold)(settings.seed)
 
-    def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_float32(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         radiance, error = compute(rows, columns)
         return radiance.astype(np.float32), error.astype(np.float32)
 
-    return both
+    return compute_float32
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
@@ -73,11 +73,11 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
     all seeds."""
     traces = _seeded_traces_of(source, settings)
 
-    def seeded(seed: int, within_pixels: int | None = None) -> Computed:
+    def seed_pixels(seed: int, within_pixels: int | None = None) -> Computed:
         compute = traces(seed, within_pixels)
         return lambda *pixels, **more: compute(*pixels, **more)[0]
 
-    return seeded
+    return seed_pixels
 
 
 def _seeded_traces_of(
@@ -93,7 +93,7 @@ def _seeded_traces_of(
     else:
         solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
-    def seeded(seed: int, within_pixels: int | None = None) -> Computed:
+    def seed_traces(seed: int, within_pixels: int | None = None) -> Computed:
         key = jax.random.key(seed)
         within = key if within_pixels is None else jax.random.key(within_pixels)
         ready = jax.block_until_ready(solved(key))
@@ -113,7 +113,7 @@ def _seeded_traces_of(
 
         return compute
 
-    return seeded
+    return seed_traces
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
@@ -194,13 +194,13 @@ def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Imag
     settings and structure."""
 
     @partial(jax.jit, compiler_options=ray_options(paths=False))
-    def one(key: Key, scene: Scene, view: View) -> Image:
+    def trace_pass(key: Key, scene: Scene, view: View) -> Image:
         traced = light_traced(
             key, scene, view, paths=math.prod(view.resolution), depth=settings.depth, samples=1
         )
         return traced.radiance
 
-    return store_whole(one, f"pass {settings!r}")
+    return store_whole(trace_pass, f"pass {settings!r}")
 
 
 def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:

@@ -235,14 +235,14 @@ class _Work:
         expand = None if self.pruned is None else self.pruned.expand
         several = self.settings.samples > 1
 
-        def beside(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        def compute_pixels(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
             radiance, error = compute(rows, columns)
             if expand is not None:
                 radiance = radiance @ expand.T.astype(np.float32)
                 error = error @ np.abs(expand).T.astype(np.float32) if several else error
             return np.concatenate([radiance, error], axis=1) if several else radiance
 
-        return beside
+        return compute_pixels
 
     @cached_property
     def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:

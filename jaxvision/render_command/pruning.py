@@ -46,7 +46,7 @@ def _parse_request(settings: RenderEntry) -> dict[str, Any]:
     return {"samples": samples, "depth": depth, "whole_paths": whole, "caustics": caustics}
 
 
-def _seen_by(source: SceneFile, camera: Camera | None) -> Camera | View:
+def _combine_camera(source: SceneFile, camera: Camera | None) -> Camera | View:
     """Return the view of the scene, combined with the sensor of a camera if one is given."""
     if camera is None:
         return source.view
@@ -69,7 +69,7 @@ def inspect_scene(
     are passed to `effects.inspect`."""
     if asked.get("time") and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
-    seen = _seen_by(source, camera)
+    seen = _combine_camera(source, camera)
     return effects.inspect(source.scene, seen, **_parse_request(settings), **asked)
 
 
@@ -83,7 +83,7 @@ def prune_scene(
 ) -> Pruned:
     """Return the scene without the effects whose change is within a tolerance, with a certificate.
     Further arguments are passed to `effects.prune`."""
-    seen = _seen_by(source, camera)
+    seen = _combine_camera(source, camera)
     try:
         return effects.prune(source.scene, seen, tolerance, **_parse_request(settings), **asked)
     except InputError as error:

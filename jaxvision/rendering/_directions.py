@@ -46,7 +46,7 @@ def balanced(
     by the sum of both densities. The expectation of the result is the reflected radiance, W m^-2
     sr^-1."""
 
-    def weighed(wi: Vec) -> Colour:
+    def weigh(wi: Vec) -> Colour:
         world = world_direction(frame, wi, point)
         density = direction_pdf(light, point, world) + brdf.pdf(material, wi, viewer)
         arriving = arriving_from(light, point, world, place)
@@ -54,7 +54,7 @@ def balanced(
 
     from_light = to_local(frame, direction_sample(light, point, of_light).direction)
     from_material = brdf.sample(material, viewer, of_material)
-    return weighed(as_vec(from_light)) + weighed(as_vec(from_material))
+    return weigh(as_vec(from_light)) + weigh(as_vec(from_material))
 
 
 def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:

@@ -21,8 +21,10 @@ def band_count(
     """Return the number of bands of the spectra of a scene. A neutral spectrum has one band and is
     valid for any number of bands. Raise `ValueError` if other spectra differ in their number of
     bands."""
-    reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
-    emitted = [_emitted(light) for light in _one_each(lights)]
+    reflected = [
+        (type(own).__name__, _trace_reflection(own)) for own in _distinct_structures(materials)
+    ]
+    emitted = [_trace_emission(light) for light in _distinct_structures(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]
     counts = {*(bands for _, bands in reflected), *emitted}
     if len(counts - {1}) > 1:
@@ -34,16 +36,16 @@ def band_count(
     return max(counts)
 
 
-def _one_each(records: Iterable[Any]) -> Iterable[Any]:
+def _distinct_structures(records: Iterable[Any]) -> Iterable[Any]:
     """Return one record for each different structure (tree and shapes) among `records`."""
     return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
 
 
-def _reflected(material: Material) -> int:
+def _trace_reflection(material: Material) -> int:
     up = jnp.zeros(3, common_dtype(material))
     return jax.eval_shape(lambda: brdf.shading(replace_maps(material, mean_of), up, up)).shape[0]
 
 
-def _emitted(light: Light) -> int:
+def _trace_emission(light: Light) -> int:
     samples = partial(incident_samples, rule=Quadrature(1))
     return jax.eval_shape(samples, light, jnp.zeros(3, common_dtype(light))).irradiance.shape[-1]

@@ -133,7 +133,7 @@ class Met(eqx.Module):
     leaving: Leaving
 
 
-def _met(
+def _meet(
     scene: Scene,
     shapes: SortedScene,
     seen: Ray | PixelRay,
@@ -163,8 +163,8 @@ def _along(
     hit: Hit | None = None,
 ) -> Colour:
     """Compute `radiance_along` for one of many rays, with sorted shapes. `known` and `hit` are as
-    in `_met`."""
-    met = _met(scene, shapes, seen, known, hit)
+    in `_meet`."""
+    met = _meet(scene, shapes, seen, known, hit)
     light = lighting(
         scene.lights,
         met.hit.point,
@@ -180,7 +180,7 @@ def _radiance_along(scene: Scene, shapes: SortedScene, met: Met, light: Lighting
     """Return the radiance along a ray, W m^-2 sr^-1, given the light on the surface that it
     hits."""
     ray, encounter = met.ray, met.encounter
-    radiance = _reflected(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
+    radiance = _reflect(scene, light, ray, encounter, met.normal, met.patch, shapes.materials)
     emissions = [surface.emission for surface in scene.surfaces]
     if any(emission is not None for emission in emissions):
         emitted = _emission_of(emissions, encounter.shape)
@@ -192,7 +192,7 @@ def _radiance_along(scene: Scene, shapes: SortedScene, met: Met, light: Lighting
     return jnp.where((ahead.distance < met.hit.distance) | missed, ahead.radiance, radiance)
 
 
-def _reflected(
+def _reflect(
     scene: Scene,
     light: Lighting,
     ray: Ray,
@@ -301,20 +301,20 @@ def _direct_by_order(
             numbers = numbers_of(Stream(pixel, stream.sample, stream.seed))
             return rules_of(scene, rule, numbers=numbers)
 
-        def shown(number: int, light: Light, met: Met, pixel: Word) -> Scalar:
+        def light_contribution(number: int, light: Light, met: Met, pixel: Word) -> Scalar:
             rules = rules_at(pixel)[number : number + 1]
             own = lighting([light], met.hit.point, met.leaving, rule=rules)
             place = met.ray, met.encounter, met.normal, met.patch, shapes.materials
-            return _reflected(scene, own, *place, largest_reflected)
+            return _reflect(scene, own, *place, largest_reflected)
 
-        def reached(number: int, light: Light, met: Met, pixel: Word) -> Bool[Array, " _"]:
+        def trace_samples(number: int, light: Light, met: Met, pixel: Word) -> Bool[Array, " _"]:
             return samples_that_reach(_place(shapes, met), rules_at(pixel)[number], light)
 
-        def together(*leaves: Array) -> Colour:
+        def trace_block(*leaves: Array) -> Colour:
             rays, pixels = tree.unflatten(leaves)
-            met = jax.vmap(partial(_met, scene, shapes))(rays)
+            met = jax.vmap(partial(_meet, scene, shapes))(rays)
 
-            def of_all(one: Callable[..., Array], number: int) -> Callable[[Light], Array]:
+            def map_over_rays(one: Callable[..., Array], number: int) -> Callable[[Light], Array]:
                 return lambda light: jax.vmap(partial(one, number, light))(met, pixels)
 
             visible: list[Array | None] = [None] * len(scene.lights)
@@ -323,19 +323,22 @@ def _direct_by_order(
             for members, group in groups:
                 first = members[0]
                 flags, needed = visible_in_order(
-                    group, of_all(shown, first), of_all(reached, first), least
+                    group,
+                    map_over_rays(light_contribution, first),
+                    map_over_rays(trace_samples, first),
+                    least,
                 )
                 for k, i in enumerate(members):
                     visible[i], traced[i] = flags[k], needed[k]
 
-            def seen(met: Met, pixel: Word, visible: Visible) -> Colour:
+            def radiance_of_ray(met: Met, pixel: Word, visible: Visible) -> Colour:
                 own = scene.lights, rules_at(pixel), met.hit.point, scene.ambient
                 light = Lighting(*own, _place(shapes, met), visible, tuple(traced))
                 return _radiance_along(scene, shapes, met, light)
 
-            return jax.vmap(seen)(met, pixels, tuple(visible))
+            return jax.vmap(radiance_of_ray)(met, pixels, tuple(visible))
 
-        return map_blocks(together, *leaves, size=entries_per_step(TOGETHER))
+        return map_blocks(trace_block, *leaves, size=entries_per_step(TOGETHER))
 
     return along
 
@@ -427,18 +430,20 @@ def render(
     if edges is None:
         return traced.radiance
 
-    def seen(scene: Scene, ray: Ray, met: Encounter, number: Array, hit: Hit | None) -> Colour:
+    def camera_radiance(
+        scene: Scene, ray: Ray, met: Encounter, number: Array, hit: Hit | None
+    ) -> Colour:
         own = rules_of(scene, rule, numbers=(number,))
         return _along(scene, sorted_scene(scene), ray, own, met, hit)
 
-    def under(
+    def radiance_under(
         scene: Scene, ray: Ray, met: Encounter, hit: Hit, arriving: Incident
     ) -> Colour | Scalar:
         varied = varied_surfaces(scene)
         patch = None if varied is None else patch_of(varied, met.shape, met.primitive, hit)
         normal, leaving = _facing(scene, ray, met.shape, hit, patch)
         lamp = DirectionalLight(as_array(arriving.direction), arriving.irradiance)
-        return _reflected(scene, lighting([lamp], hit.point, leaving), ray, met, normal, patch)
+        return _reflect(scene, lighting([lamp], hit.point, leaving), ray, met, normal, patch)
 
     def pixels(
         scene: Scene, view: View, place: tuple[Array, Array], samples: PixelSamples, first: Array
@@ -449,4 +454,6 @@ def render(
 
     rules = rules_of(scene, rule) if can_shade(scene.surfaces) else None
     own = {"error": jax.lax.stop_gradient(traced.error), "samples": samples}
-    return traced.radiance + moving_edges(scene, view, edges, seen, under, rules, pixels, **own)
+    return traced.radiance + moving_edges(
+        scene, view, edges, camera_radiance, radiance_under, rules, pixels, **own
+    )

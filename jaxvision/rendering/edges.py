@@ -278,7 +278,7 @@ def _eye(view: View, u: Float[Array, "2"] | None) -> Eye:
     return Eye(as_array(view_ray(view, zero, zero, u=u).origin), False)
 
 
-def _imaged(
+def _image_point(
     view: View, point: Float[Array, "3"], u: Float[Array, "2"] | None
 ) -> tuple[Float[Array, "2"], Array]:
     """Return the position in the picture of a point that is imaged through the point `u` of the
@@ -292,7 +292,7 @@ def _imaged(
     if u is None or not isinstance(view, ThinLens):
         return place, ahead
 
-    def aside(place: Float[Array, "2"]) -> Float[Array, "2"]:
+    def point_offset(place: Float[Array, "2"]) -> Float[Array, "2"]:
         ray = view_ray(view, place[0], place[1], u=u)
         way = safe - as_array(ray.origin)
         reach = divide(dot(forward, way), dot(forward, ray.direction))
@@ -300,8 +300,8 @@ def _imaged(
 
     for _ in range(3):  # Newton's method; the last step has the derivatives
         place = jax.lax.stop_gradient(place)
-        slope = jax.lax.stop_gradient(jax.jacfwd(aside)(place))
-        place = place - jnp.linalg.solve(slope, aside(place))
+        slope = jax.lax.stop_gradient(jax.jacfwd(point_offset)(place))
+        place = place - jnp.linalg.solve(slope, point_offset(place))
     return place, ahead
 
 
@@ -428,18 +428,18 @@ def moving_edges(
 
         *rest, samples, error = eqx.combine(others, static)
 
-        def again(moving: Any) -> tuple[Scene, View]:
+        def rebuild(moving: Any) -> tuple[Scene, View]:
             return eqx.combine(moving, *rest)
 
-        found, along = zeros, (again, moving, motion, edges)
+        found, along = zeros, (rebuild, moving, motion, edges)
         if samples is not None:
-            found = found + _of_more_samples(again, moving, motion, pixels, samples, error)
+            found = found + _sample_edge_pixels(rebuild, moving, motion, pixels, samples, error)
         if not all(isinstance(surface.shape, Plane | TriangleMesh) for surface in scene.surfaces):
             found = found + _face_integral(*along, seen, sampled=sampled)
         if _seen_outlines(scene):
             found = found + _outline_integral(*along, seen, sampled=sampled)
         if rules is not None and _blocking_outlines(scene):
-            for group in range(len(lights_by_rule(again(moving)[0].lights, rules))):
+            for group in range(len(lights_by_rule(rebuild(moving)[0].lights, rules))):
                 found = found + _shadow_integral(*along, under, rules, group, sampled=sampled)
         return zeros, found
 
@@ -467,7 +467,7 @@ def _can_move(scene: Scene, view: View) -> Any:
     return jax.tree_util.tree_map_with_path(moves, (scene, view))
 
 
-def _of_more_samples(
+def _sample_edge_pixels(
     again: Callable[[Any], tuple[Scene, View]],
     moving: Any,
     motion: Any,
@@ -515,7 +515,7 @@ def _outline_integral(
             shown = _reaches(_point_outside(curve, t, eye)[1], eye, shapes) | (
                 curve.kind == _HORIZON
             )
-            return *_imaged(view, _curve_point(curve, t, eye), None), shown
+            return *_image_point(view, _curve_point(curve, t, eye), None), shown
 
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
@@ -528,7 +528,7 @@ def _outline_integral(
         scene, view = again(moving)
 
         def place(curve: Curves, t: Array, u: Array | None) -> tuple[Array, Array]:
-            return _imaged(view, _curve_point(curve, t, _eye(view, u)), u)
+            return _image_point(view, _curve_point(curve, t, _eye(view, u)), u)
 
         return jax.vmap(place)(_row(_curves(_seen_outlines(scene)), chosen), t, lens)
 
@@ -544,14 +544,14 @@ def _outline_integral(
         point = _curve_point(curve, t, _eye(view, u))
         near = jnp.array(_NEAR, dtype)[curve.kind] * norm(point - curve.centre)
 
-        def beside(side: Scalar) -> tuple[Ray, Array, Colour, Array]:
+        def shape_on_side(side: Scalar) -> tuple[Ray, Array, Colour, Array]:
             ray = view_ray(view, *(at + side * across), u=u)
             met = nearest_shape(ray, shapes)
             off = dot(ray.direction, point - ray.origin) - hit_shape(ray, shapes, met).distance
             ends = (met.shape == curve.shape) & (jnp.abs(off) <= near)
             return ray, met.shape, seen(scene, ray, met, number, None), ends
 
-        rays, met, radiance, ends = jax.vmap(beside)(jnp.asarray(_SIDES, dtype))
+        rays, met, radiance, ends = jax.vmap(shape_on_side)(jnp.asarray(_SIDES, dtype))
         use = (curve.shape < 0) | jnp.any(ends)  # the shape has an edge there, in front of others
         # an edge that two shapes share is an outline of both, so each counts half
         through = jax.vmap(lambda ray, other: meets(ray, shapes, other))(rays, met[::-1])
@@ -585,7 +585,7 @@ def grazing_cosines(scene: Scene, view: View) -> Float[Array, " n"]:
         if (extent := _extent(shape)) is None:
             return jnp.zeros_like(view.pixel_pitch)
         centre, size = extent
-        slopes = jax.jacfwd(lambda point: _imaged(view, point, None)[0])(centre)
+        slopes = jax.jacfwd(lambda point: _image_point(view, point, None)[0])(centre)
         pixels = size * jnp.sqrt((slopes * slopes).sum() / 2)
         share = jnp.minimum(divide(_NARROW, pixels), 1)
         return safe_sqrt(share) if isinstance(shape, Sphere) else share
@@ -593,7 +593,7 @@ def grazing_cosines(scene: Scene, view: View) -> Float[Array, " n"]:
     return jnp.stack([limit(surface.shape) for surface in scene.surfaces])
 
 
-def _kept(limits: Array, ray: Ray, number: Array, hit: Hit) -> Array:
+def _undamped_part(limits: Array, ray: Ray, number: Array, hit: Hit) -> Array:
     """Return the part, from 0 to 1, of a hit's derivative that `damped` keeps."""
     limit = limits[jnp.maximum(number, 0)]
     cosine = jnp.abs(dot(hit.normal, ray.direction))
@@ -611,7 +611,7 @@ def damped(hit: Hit, ray: Ray, encounter: Encounter, limits: Array) -> Hit:
 
 def _damped_derivative(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Hit, Hit]:
     (hit, ray, encounter, limits), (change, *_) = primals, tangents
-    kept = _kept(limits, ray, encounter.shape, hit)
+    kept = _undamped_part(limits, ray, encounter.shape, hit)
     moved = jax.tree.map(lambda x: kept * x, (change.point, change.normal))
     return hit, eqx.tree_at(lambda hit: (hit.point, hit.normal), change, moved)
 
@@ -660,7 +660,7 @@ def _face_integral(
 
         def place(at: Array) -> tuple[Array, Any]:
             point = _face_point(face, at, _eye(view, u), limits[face.shape])
-            place, ahead = _imaged(view, point, u)
+            place, ahead = _image_point(view, point, u)
             return place, (place, point, ahead)
 
         slope, (where, point, ahead) = jax.jacfwd(place, has_aux=True)(at)
@@ -670,7 +670,7 @@ def _face_integral(
         use = ahead & (met.shape == face.shape) & jnp.all((where > -0.5) & (where < bounds))
         use = use & (norm(as_array(hit.point) - point) < 1e-2 * norm(point - face.centre))
         area = jnp.abs(slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0])
-        removed = area * (1 - _kept(limits, ray, met.shape, hit))
+        removed = area * (1 - _undamped_part(limits, ray, met.shape, hit))
         cosine = jnp.abs(dot(hit.normal, ray.direction))
         return where, met, jnp.where(use, removed, 0), divide(1, cosine)
 
@@ -689,14 +689,14 @@ def _face_integral(
         moved, camera = again(moving)
         shapes = sorted_shapes([surface.shape for surface in moved.surfaces])
 
-        def one(where: Array, u: Array | None, met: Encounter, number: Array) -> Colour:
+        def radiance_at(where: Array, u: Array | None, met: Encounter, number: Array) -> Colour:
             ray = view_ray(camera, where[0], where[1], u=u)
             hit = hit_shape(ray, shapes, met)
             fixed, ray = jax.lax.stop_gradient((hit, ray))
             hit = eqx.tree_at(lambda hit: (hit.point, hit.normal), fixed, (hit.point, hit.normal))
             return seen(scene, ray, met, number, hit)
 
-        return jax.vmap(one)(where, lens, met, jnp.arange(count, dtype=jnp.uint32))
+        return jax.vmap(radiance_at)(where, lens, met, jnp.arange(count, dtype=jnp.uint32))
 
     change = jax.jvp(radiance, (moving,), (motion,))[1]
     weight = (removed * share)[:, None]
@@ -749,7 +749,7 @@ def _shadow_integral(
         shadow, and the position of the shadow in the scene, m."""
         hit = hit_shape(Ray(point, -eye.direction(point)), again[0], met)
         shadow = as_array(hit.point)
-        place, ahead = _imaged(again[1], shadow, u)
+        place, ahead = _image_point(again[1], shadow, u)
         return place, ahead & (hit.distance < jnp.inf), shadow
 
     def cells(lamp: Light, curve: Curves, u: Array) -> Array:
@@ -792,10 +792,10 @@ def _shadow_integral(
         use = ahead & (met.shape >= 0) & (met.shape != curve.shape)
         use = use & (norm(shadow - seen) < 1e-3 * norm(seen - as_array(ray.origin)))
 
-        def beside(side: Scalar) -> Array:
+        def shape_on_side(side: Scalar) -> Array:
             return nearest_shape(view_ray(view, *(at + side * across), u=u), shapes).shape
 
-        there = jax.vmap(beside)(_SEEN_BESIDE * jnp.asarray(_SIDES, dtype))
+        there = jax.vmap(shape_on_side)(_SEEN_BESIDE * jnp.asarray(_SIDES, dtype))
         use = use & jnp.all(there == met.shape)
         # The lamp must shine past the outline, on both sides of it. The ray from `inside` is free
         # if the box's surface is lit there, and blocked if it lies in the box's own shadow.
@@ -807,7 +807,7 @@ def _shadow_integral(
         own, arriving = of_lamp, incident_sample(lamp, rule, seen, of_lamp, jnp.ones((), dtype))
         if extended and not eye.at_infinity:
             toward = eye.direction(seen)
-            own = _same_direction(lambda u: eye_of(lamp, seen, u).direction(seen), toward, of_lamp)
+            own = _solve_direction(lambda u: eye_of(lamp, seen, u).direction(seen), toward, of_lamp)
             slopes = jax.jacfwd(lambda v: normalize(eye_of(lamp, curve.centre, v).place - seen))
             first, second = slopes(of_lamp).T
             shines = radiance_of(lamp, Ray(seen, toward)).radiance
@@ -840,7 +840,7 @@ def _shadow_integral(
     return _integral(view, at, tangent * step[:, None], velocity, use, jumps)
 
 
-def _same_direction(
+def _solve_direction(
     direction: Callable[[Array], Array], wanted: Array, start: Float[Array, "2"]
 ) -> Float[Array, "2"]:
     """Solve for the numbers, (2,) in the unit square, at which `direction` returns the `wanted`

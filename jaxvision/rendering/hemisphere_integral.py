@@ -97,12 +97,12 @@ def hemisphere_radiance(
             jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths)
         )
 
-        def at(wi: Vec) -> Colour:
+        def integrand(wi: Vec) -> Colour:
             return incident_radiance(world_direction(frame, wi, wo)) * brdf.shading(
                 material, wi, viewer
             )
 
-        return (weights[:, None] * jax.vmap(at)(as_vec(directions))).sum(axis=0)
+        return (weights[:, None] * jax.vmap(integrand)(as_vec(directions))).sum(axis=0)
 
     value = integral(polar, azimuths)
     return Estimate(value, jnp.abs(value - integral(polar // 2, azimuths // 2)))

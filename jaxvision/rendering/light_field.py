@@ -44,12 +44,12 @@ def render_light_field(
         >>> record(jv.Scene(lamp, [])).radiance.ravel().tolist()
         [2.0, 2.0]
     """
-    radiance = _recorded(scene, aperture, focal, tuple(map(int, resolution)), rule)
+    radiance = _record(scene, aperture, focal, tuple(map(int, resolution)), rule)
     return LightFieldLight(radiance, aperture, focal)
 
 
 @one_program
-def _recorded(
+def _record(
     scene: Scene,
     aperture: Window,
     focal: Window,

@@ -120,7 +120,10 @@ def _value(own: Any, patch: Patch) -> Array:
     here = _coordinates(own.uv, patch)
     rows, columns = own.values.shape[:2]
     if patch.steps is None or not isinstance(own, Summed):
-        (i, p), (j, q) = _between(here.v, rows, own.wrap), _between(here.u, columns, own.wrap)
+        (i, p), (j, q) = (
+            _neighbouring_texels(here.v, rows, own.wrap),
+            _neighbouring_texels(here.u, columns, own.wrap),
+        )
         near = [[own.values.at[a, b].get(mode="promise_in_bounds") for b in j] for a in i]
         above, below = (left + q * (right - left) for left, right in near)
         return above + p * (below - above)
@@ -151,7 +154,7 @@ def _coordinates(uv: Array | None, patch: Patch) -> Coordinates:
     return Coordinates(u, v, along_u, along_v)
 
 
-def _between(
+def _neighbouring_texels(
     place: Scalar, count: int, wrap: str
 ) -> tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]:
     """Return the two texels next to a position along one axis, and the interpolation weight of the

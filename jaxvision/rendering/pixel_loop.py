@@ -116,10 +116,12 @@ class Traced(Shown):
         table = super()._repr_html_()
         if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
             return table
-        return picture_html(preview_png(_encoded(self.radiance)), table, meaning="radiance, sRGB")
+        return picture_html(
+            preview_png(_encode_preview(self.radiance)), table, meaning="radiance, sRGB"
+        )
 
 
-def _encoded(radiance: Spectrum) -> np.ndarray:
+def _encode_preview(radiance: Spectrum) -> np.ndarray:
     """Return an encoded picture (h, w, 1 or 3) of the first image in a batch, with white at the
     99th percentile. If the number of bands is not three, the picture shows the mean over bands."""
     seen = np.asarray(radiance, float).reshape(-1, *radiance.shape[-3:])[0]
@@ -183,7 +185,7 @@ def photograph(
         _, by_column = jax.jvp(lambda c: view_ray(view, row, c), (column,), (jnp.ones_like(row),))
         return PixelRay(ray, by_row, by_column)
 
-    def in_pixel(pixel: Word, sample: Word) -> Ray:
+    def draw_ray(pixel: Word, sample: Word) -> Ray:
         return sample_ray(view, *place(pixel), Stream(pixel, sample, seed))
 
     def block(pixels: UInt32[Array, " n"]) -> tuple[Any, Any]:
@@ -192,7 +194,7 @@ def photograph(
             return seen, jax.tree.map(lambda x: jnp.full_like(x, jnp.inf), seen)
 
         def sample(k: Word) -> Any:
-            rays = jax.vmap(in_pixel, in_axes=(0, None))(pixels, k)
+            rays = jax.vmap(draw_ray, in_axes=(0, None))(pixels, k)
             return along(rays, Stream(pixels, k, seed))
 
         room = max(1, entries_per_step(1) // len(pixels)) if several else 1
@@ -216,10 +218,10 @@ def map_rays(along: Callable[[Any, Stream], Any]) -> Along:
     """
 
     def block(rays: Any, stream: Stream) -> Any:
-        def one(ray: Any, pixel: Word) -> Any:
+        def trace_ray(ray: Any, pixel: Word) -> Any:
             return along(ray, Stream(pixel, stream.sample, stream.seed))
 
-        return jax.vmap(one)(rays, stream.pixel)
+        return jax.vmap(trace_ray)(rays, stream.pixel)
 
     return block
 

@@ -183,16 +183,16 @@ def reflected_bands(
     point, dtype = light.point, common_dtype(material, light, normal, wo)
     around = [] if light.ambient is None else [light.ambient.radiance]
     bands = band_count([material], light.lights, spectra=around)
-    parameters, k_a = _scalarised(material), getattr(material, "ambient", None)
+    parameters, k_a = _split_into_scalars(material), getattr(material, "ambient", None)
 
-    def shown(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
+    def reflect(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
         shading = brdf.shading(parameters(), wi, viewer)
         pairs = zip(
             split_bands(arriving.irradiance, bands), split_bands(shading, bands), strict=True
         )
         return tuple(where_clear(passes, e * s) for e, s in pairs)
 
-    def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None, Any]) -> tuple:
+    def sum_samples(rule: Rule, radiance: Bands, item: tuple[Light, Array | None, Any]) -> tuple:
         source, visible, traced = item
         paired = rule if can_be_seen(source) and isinstance(rule, Balanced) else None
         own = None
@@ -208,16 +208,16 @@ def reflected_bands(
                 return plus(total, split_bands(weight * both, bands)), None
             arriving = incident_sample(source, rule, point, u, weight)
             wi = fuse(to_local(frame, arriving.direction))
-            return plus(total, fuse(shown(arriving, wi, passes))), None
+            return plus(total, fuse(reflect(arriving, wi, passes))), None
 
         nodes = *light_nodes(source, rule, dtype), visible, own
 
-        def added(radiance: Bands) -> Bands:
+        def add_samples(radiance: Bands) -> Bands:
             return jax.lax.scan(add, radiance, nodes)[0]
 
         if traced is not None:
-            return jax.lax.cond(traced, added, lambda dark: dark, radiance), None
-        return added(radiance), None
+            return jax.lax.cond(traced, add_samples, lambda dark: dark, radiance), None
+        return add_samples(radiance), None
 
     radiance = (jnp.zeros((), dtype),) * bands
     if light.ambient is not None and k_a is not None:
@@ -230,21 +230,21 @@ def reflected_bands(
             traced = None
             if light.traced is not None:
                 traced = jnp.stack([light.traced[i] for i in members])
-            radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags, traced))
+            radiance, _ = jax.lax.scan(partial(sum_samples, rule), radiance, (group, flags, traced))
             continue
         arriving = [incident(light.lights[i], point) for i in members]
         for one, flags in zip(arriving, passes, strict=True):
             wi, flag = to_local(frame, one.direction), None if flags is None else flags[0]
-            radiance = plus(radiance, shown(one, wi, flag))
+            radiance = plus(radiance, reflect(one, wi, flag))
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
-        seen = _seen_along(light, as_vec(world_direction(frame, toward, wo)))
+        seen = _visible_radiance(light, as_vec(world_direction(frame, toward, wo)))
         radiance = plus(radiance, split_bands(reflectance * seen, bands))
     unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
     return tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)
 
 
-def _seen_along(light: Lighting, direction: Vec) -> Colour:
+def _visible_radiance(light: Lighting, direction: Vec) -> Colour:
     """Return the radiance of the extended lights that a ray in a unit direction sees, W m^-2
     sr^-1."""
     ahead = nearest_seen(light.lights, Ray(light.point, direction))
@@ -252,7 +252,7 @@ def _seen_along(light: Lighting, direction: Vec) -> Colour:
     return where_clear(passes, ahead.radiance)
 
 
-def _scalarised(material: Material) -> Callable[[], Material]:
+def _split_into_scalars(material: Material) -> Callable[[], Material]:
     """Return a function that assembles the material from scalars at each use. In the gradient, the
     cotangents of scalars are summed over the lights directly, whereas the cotangents of arrays
     would be stored for all lights and then summed."""
@@ -260,10 +260,10 @@ def _scalarised(material: Material) -> Callable[[], Material]:
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= MAX_NUMBERS]
     numbers = [split_bands(leaves[i].reshape(-1), leaves[i].size) for i in few]
 
-    def assembled() -> Material:
+    def assemble() -> Material:
         again = list(leaves)
         for i, own in zip(few, numbers, strict=True):
             again[i] = jnp.stack(own).reshape(leaves[i].shape)
         return jax.tree.unflatten(tree, again)
 
-    return assembled
+    return assemble

@@ -179,12 +179,12 @@ def visible_in_order(
 def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " _"]:
     """Return whether each sample of a light is visible from the point, (samples,), no unit."""
 
-    def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
+    def is_visible(node: tuple[Array, Array]) -> Bool[Array, ""]:
         arriving = incident_sample(light, rule, place.point, *node)
         return clear(place, arriving.direction, _distance(arriving))
 
     dtype = common_dtype(light, place.point)
-    return jax.lax.map(of_node, light_nodes(light, rule, dtype))
+    return jax.lax.map(is_visible, light_nodes(light, rule, dtype))
 
 
 def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:

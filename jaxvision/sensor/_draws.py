@@ -145,14 +145,14 @@ _TAIL = (
 def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
     """Return the z that a standard Gaussian exceeds with probability `tail_probability(bits)`. The
     error of z is 5e-7 up to |z| = 5.3 and 4e-4 up to 6.3, in every dtype."""
-    centred, probability = from_middle(bits, dtype)
+    centred, probability = centred_probability(bits, dtype)
     w = -jnp.log(4 * probability * (1 - probability))
     centre = polynomial(_CENTRE, w - 2.5)
     tail = polynomial(_TAIL, jnp.sqrt(jnp.maximum(w, 5)) - 3)
     return 2**1.5 * centred * jnp.where(w < 5, centre, tail)
 
 
-def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
+def centred_probability(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
     """Return 1/2 - `tail_probability(bits)`, and the distance of the probability from the nearer of
     0 and 1. The two numbers are computed without cancellation.
     """

@@ -35,7 +35,7 @@ def middle(frames: ArrayLike) -> Plane:
     return plane[starts[0] : starts[0] + SIDE, starts[1] : starts[1] + SIDE].astype(float)
 
 
-def _along_both(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
+def _sum_along_axes(plane: Plane, weights: tuple[float, ...]) -> list[Plane]:
     """Return weighted sums of pixels that are two apart, along columns and along rows, cropped to
     whole blocks."""
     reach = 2 * (len(weights) - 1)
@@ -60,17 +60,20 @@ def noise_ratios(image: Plane, variance: Plane, codes: Plane) -> Float[np.ndarra
     if min(image.shape) < BLOCK + 4:
         return np.zeros(0)
     weights = (1.0, -2.0, 1.0)
-    known = [np.isfinite(one) for one in _along_both(image, weights)]
+    known = [np.isfinite(one) for one in _sum_along_axes(image, weights)]
 
-    def summed(planes: list[Plane]) -> np.ndarray:
+    def sum_known(planes: list[Plane]) -> np.ndarray:
         first, second = (np.where(k, x, 0.0) for k, x in zip(known, planes, strict=True))
         return _sums(first) + _sums(second)
 
     found, of_codes = (
-        summed([one**2 for one in _along_both(plane, weights)]) for plane in (image, codes)
+        sum_known([one**2 for one in _sum_along_axes(plane, weights)]) for plane in (image, codes)
     )
-    expected = summed(_along_both(variance, (1.0, 4.0, 1.0))) / 6
-    level, pairs = summed(_along_both(image, (1.0, 0.0, 0.0))), summed([1.0 * k for k in known])
+    expected = sum_known(_sum_along_axes(variance, (1.0, 4.0, 1.0))) / 6
+    level, pairs = (
+        sum_known(_sum_along_axes(image, (1.0, 0.0, 0.0))),
+        sum_known([1.0 * k for k in known]),
+    )
     full = (pairs >= FEWEST_PAIRS) & (level > BRIGHT * np.sqrt(expected * pairs))
     full &= expected * of_codes.sum() > QUIET * pairs * found.sum()
     if np.count_nonzero(full) < FEWEST_BLOCKS:
@@ -130,9 +133,9 @@ def _holds(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> tuple[b
     is the variance of the pattern's error. Differences are multiplied by `weight`."""
     if min(frame.shape) < BLOCK + 2:
         return False, False
-    weights = np.ravel(_along_both(weight, (1.0, 0.0)))
-    own, wanted = (weights * np.ravel(_along_both(x, (1.0, -1.0))) for x in (frame, pattern))
-    error = weights**2 * np.ravel(_along_both(noise, (1.0, 1.0)))
+    weights = np.ravel(_sum_along_axes(weight, (1.0, 0.0)))
+    own, wanted = (weights * np.ravel(_sum_along_axes(x, (1.0, -1.0))) for x in (frame, pattern))
+    error = weights**2 * np.ravel(_sum_along_axes(noise, (1.0, 1.0)))
     known = np.isfinite(own) & np.isfinite(wanted) & np.isfinite(error)
     own, wanted, error = own[known], wanted[known], error[known]
     square = float(np.sum(wanted**2))

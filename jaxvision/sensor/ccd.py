@@ -137,14 +137,14 @@ def _random_variance(electrons: Counts, transfer: ChargeTransfer) -> Counts:
         return of_rows
     rows_read = _trailing(electrons, eps, trail, axis=-3, weight=_share)
     of_register = _trailing(rows_read, serial, trail, axis=-2, weight=_random)
-    return of_register + _trailing(of_rows, serial, trail, axis=-2, weight=_squared)
+    return of_register + _trailing(of_rows, serial, trail, axis=-2, weight=_square)
 
 
 def _share(share: Shares, rest: Shares) -> Shares:
     return share
 
 
-def _squared(share: Shares, rest: Shares) -> Shares:
+def _square(share: Shares, rest: Shares) -> Shares:
     return share * share
 
 
@@ -164,10 +164,10 @@ def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
     """Return the variance of transferred charge, electrons^2, if each packet is divided in fixed
     proportions."""
-    read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
+    read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_square)
     if transfer.serial_inefficiency is None:
         return read
-    return _trailing(read, transfer.serial_inefficiency, transfer.trail, axis=-2, weight=_squared)
+    return _trailing(read, transfer.serial_inefficiency, transfer.trail, axis=-2, weight=_square)
 
 
 def _trailing(

@@ -665,10 +665,10 @@ def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
 def _fill_masters(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
     """Replace the defects of the dark and flat masters by means of their neighbours."""
 
-    def filled(master: Master | None) -> Master | None:
+    def fill_master(master: Master | None) -> Master | None:
         return master and replace(master, mean=_fill(master.mean, defects))
 
-    return replace(masters, dark=filled(masters.dark), flat=filled(masters.flat))
+    return replace(masters, dark=fill_master(masters.dark), flat=fill_master(masters.flat))
 
 
 def _fill(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:

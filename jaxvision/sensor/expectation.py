@@ -164,7 +164,7 @@ def expected_of_reading(
     values = _values(function, held(z), mean.shape, estimator)
     spread = ~(held_rms <= smallest_divisor(rms.dtype))
     if estimator == "measure_valued":
-        away, aside = jax.vmap(lambda one: _one_sided(one, mean))(keys)
+        away, aside = jax.vmap(lambda one: _draw_rayleigh_and_maxwell(one, mean))(keys)
         apart = jax.vmap(function)(held(away)) - jax.vmap(function)(held(-away))
         by_mean = divide(apart.mean(0), held_rms * np.sqrt(2 * np.pi), spread)
         by_rms = divide((jax.vmap(function)(held(aside)) - values).mean(0), held_rms, spread)
@@ -174,7 +174,7 @@ def expected_of_reading(
     return _attach_slopes(values.mean(0), (by_mean, mean), (by_rms, rms))
 
 
-def _one_sided(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
+def _draw_rayleigh_and_maxwell(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
     """Draw from the Rayleigh distribution, and from the Maxwell distribution with a random sign."""
     flat, deep, sign = jax.random.split(jax.random.fold_in(key, 1), 3)
     rayleigh = jnp.sqrt(jax.random.chisquare(flat, 2, shape=mean.shape, dtype=mean.dtype))
@@ -224,11 +224,11 @@ def expected_of_defect(
     keys = _keys(key, estimator, draws)
     held = jax.lax.stop_gradient(chance)
 
-    def drawn(one: Key) -> Scalars:
+    def draw_defects(one: Key) -> Scalars:
         defect = jax.random.uniform(one, held.shape, held.dtype) < held
         return jnp.where(jnp.isnan(held), held, defect.astype(held.dtype))
 
-    defects = jax.vmap(drawn)(keys)
+    defects = jax.vmap(draw_defects)(keys)
     if estimator == "pathwise":
         return jax.vmap(function)(defects).mean(0)
     values = _values(function, defects, chance.shape, estimator)

@@ -201,7 +201,7 @@ def _invert(
     held, seen, low, high = jax.lax.stop_gradient((effect, signal, low, high))
     low, high = jnp.broadcast_to(low, seen.shape), jnp.broadcast_to(high, seen.shape)
 
-    def at(x: Scalars) -> tuple[Scalars, Scalars]:
+    def value_and_slope(x: Scalars) -> tuple[Scalars, Scalars]:
         return jax.jvp(lambda y: curve(held, y), (x,), (jnp.ones_like(x),))
 
     within = jnp.clip(seen, curve(held, low), curve(held, high))
@@ -210,7 +210,7 @@ def _invert(
         _: Int[Array, ""], state: tuple[Scalars, Scalars, Scalars]
     ) -> tuple[Scalars, Scalars, Scalars]:
         x, below, above = state
-        value, slope = at(x)
+        value, slope = value_and_slope(x)
         over = value > within
         below, above = jnp.where(over, below, x), jnp.where(over, x, above)
         newton = x + divide(within - value, slope, slope > 0)
@@ -218,6 +218,6 @@ def _invert(
         return jnp.where(inside, newton, (below + above) / 2), below, above
 
     found = jax.lax.fori_loop(0, _STEPS, step, ((low + high) / 2, low, high))[0]
-    slope = at(found)[1]
+    slope = value_and_slope(found)[1]
     # one more step, from a constant start, has the derivatives of the inverse
     return found + divide(signal - curve(effect, found), slope, slope > 0)

@@ -43,8 +43,8 @@ from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
     Frame,
     Words,
+    centred_probability,
     counting_dtype,
-    from_middle,
     gaussian,
     subkey,
     tail_probability,
@@ -145,7 +145,7 @@ def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scala
     def propose(state: tuple[UInt32[Array, ""], Scalars]) -> tuple[UInt32[Array, ""], Scalars]:
         attempt, drawn = state
         first, second = threefry(seed, place, attempt)
-        u, edge = from_middle(first, mean.dtype)
+        u, edge = centred_probability(first, mean.dtype)
         steps = jnp.floor((2 * a / edge + b) * u + (part + 0.43))
         accepted = _accept(second, steps.astype(jnp.float32), edge.astype(jnp.float32), *shape)
         accepted &= (steps >= -whole) & jnp.isnan(drawn)

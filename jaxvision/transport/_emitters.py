@@ -204,7 +204,7 @@ def toward_each(
     of the rule."""
     dtype = point.x.dtype
 
-    def of_emitter(
+    def add_emitter(
         rule: Quadrature, total: Colour, emitter: Light | Emissive
     ) -> tuple[Colour, None]:
         if isinstance(emitter, Emissive):
@@ -213,7 +213,7 @@ def toward_each(
             nodes, weights = light_nodes(emitter, rule, dtype)
 
         @jax.checkpoint
-        def of_node(total: Colour, node: tuple[Array, Array]) -> tuple[Colour, None]:
+        def add_node(total: Colour, node: tuple[Array, Array]) -> tuple[Colour, None]:
             u, weight = node
             if isinstance(emitter, Emissive):
                 toward = _toward_surface(emitter, point, u)
@@ -223,12 +223,12 @@ def toward_each(
                 toward = _toward(incident_sample(emitter, rule, point, u, weight), everywhere)
             return total + shine(toward), None
 
-        return jax.lax.scan(of_node, total, (nodes, weights))
+        return jax.lax.scan(add_node, total, (nodes, weights))
 
     total = jnp.zeros(bands, dtype)
     for members, group in zip(emitters.members, emitters.groups, strict=True):
         for _, part, rule in split_by_rule(members, group, rules):
-            total, _ = jax.lax.scan(partial(of_emitter, rule), total, part)
+            total, _ = jax.lax.scan(partial(add_emitter, rule), total, part)
     return total
 
 

@@ -32,7 +32,7 @@ def warn_of_scene(scene: Scene) -> None:
         if not all(map(is_known, jax.tree.leaves(surface.material))):
             continue
         with jax.ensure_compile_time_eval():  # known values may occur inside a trace
-            reflected = _reflected(surface.material)
+            reflected = _largest_albedo(surface.material)
         if reflected > 1 + _ROUNDING:
             warn_caller(
                 f"Scene.surfaces[{i}] reflects {reflected:.4g} times the light that it receives "
@@ -42,7 +42,7 @@ def warn_of_scene(scene: Scene) -> None:
             return
 
 
-def _reflected(material: Material) -> float:
+def _largest_albedo(material: Material) -> float:
     """Return the largest albedo of any band for a view along the normal. If a fast upper bound on
     it is at most 1, return this bound instead."""
     found = suprema(Ends(material, material))

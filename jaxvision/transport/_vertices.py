@@ -179,7 +179,7 @@ def vertex(
     for every parameter of a material, although another value of the parameter would lead to another
     direction. If `weighed` (static) is False, the density of `asked` is not computed and is None.
     """
-    frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
+    frame, viewer, light, flat = _shading_frame(surfaces, met, back, asked)
     chosen = None
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
         material, among = take(members, group, met.surface)
@@ -204,7 +204,7 @@ def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands:
     """Return the shading S(wi = asked, wo = back) of the surface that a ray hit, (bands,) sr^-1; 0
     for mirrors, for glass, and for a surface seen from behind. `back` and `asked` are unit vectors
     in the world."""
-    _, viewer, light, flat = _seen_from(surfaces, met, back, asked)
+    _, viewer, light, flat = _shading_frame(surfaces, met, back, asked)
     seen = (viewer.z > 0) & (_height(viewer, flat) > 0) & (_height(light, flat) > 0)
     shaded = jnp.zeros(bands, back.x.dtype)
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
@@ -229,7 +229,7 @@ class Branches(eqx.Module):
 def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches:
     """Return the reflected and the refracted continuation of a ray at the surface that it hit.
     `back` is the unit vector in the world against the ray."""
-    frame, viewer, _, flat = _seen_from(surfaces, met, back, back)
+    frame, viewer, _, flat = _shading_frame(surfaces, met, back, back)
     mirrored = refracted = jnp.zeros(bands, back.x.dtype)
     up = down = viewer
     for members, group in zip(surfaces.members, surfaces.materials, strict=True):
@@ -244,7 +244,7 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
     return Branches(as_vec(to_world(frame, up)), as_vec(to_world(frame, down)), mirrored, refracted)
 
 
-def _seen_from(
+def _shading_frame(
     surfaces: Surfaces, met: Met, back: Vec, asked: Vec
 ) -> tuple[Frame, Vec, Vec, Vec | None]:
     """Return the local frame of the shading normal, and `back`, `asked` and the geometric normal in

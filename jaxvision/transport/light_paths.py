@@ -157,7 +157,7 @@ def _light_path(
     that it adds."""
     dtype = view.pixel_pitch.dtype
     start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
-    light = _emitted(world.emitters, ball, jnp.append(start, more[0]))
+    light = _emit(world.emitters, ball, jnp.append(start, more[0]))
     origin = offset_origin(as_vec(light.ray.origin), light.normal, light.ray.direction)
     flux = jnp.broadcast_to(light.flux, (world.bands,))
     height, width = view.resolution
@@ -248,7 +248,7 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
     )
 
 
-def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
+def _emit(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
     """Draw a ray from one emitter, which u_4 selects. The numbers u_0 and u_1 give the ray's
     origin, and u_2 and u_3 its direction, all uniform in [0, 1). The flux of the ray, W, is an
     unbiased estimate of the flux of all emitters. `around` is a sphere around the scene."""

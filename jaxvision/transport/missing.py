@@ -139,7 +139,7 @@ def missing_light(
         rules = rules_of(scene, default if rule is None else rule)
         for name, light, its_rule in zip(lamps, scene.lights, rules, strict=True):
             if isinstance(light, EnvironmentMap) and isinstance(its_rule, Quadrature):
-                found += _between_directions(name, light, its_rule, integrator)
+                found += _check_environment(name, light, its_rule, integrator)
             if isinstance(light, RectangleLight) and isinstance(its_rule, Quadrature):
                 found += _too_near(name, light, its_rule, scene.surfaces, integrator)
             if isinstance(its_rule, Quadrature) and integrator != "radiosity":
@@ -154,7 +154,7 @@ def missing_light(
     opaque = [name for name in turning if name not in clear]
     before = behind = np.zeros(0, int)
     if view is not None:
-        before, behind = (np.asarray(x) for x in _counted(scene, view, *_grid(view)))
+        before, behind = (np.asarray(x) for x in _count_faces(scene, view, *_grid(view)))
     elsewhere = "Missing: light of {} that reaches other surfaces by way of " + faces + ". "
     match integrator:
         case "direct":
@@ -193,7 +193,7 @@ def missing_light(
                 "glass."
             )
     if integrator == "path" and matt:
-        found += _rarely_found(scene, lamps, own, faces, samples)
+        found += _check_rare_lamps(scene, lamps, own, faces, samples)
     found += [
         f"{name}: this mesh of glass is not closed, {gaps} of its edges belonging to one triangle: "
         "a ray that passes there is taken to stay inside; close the mesh."
@@ -229,7 +229,7 @@ def _emits(surface: Surface) -> bool:
     return surface.emission is not None and bool(np.asarray(surface.emission).any())
 
 
-def _between_directions(
+def _check_environment(
     name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
 ) -> list[str]:
     """Return a message if a quadrature finds far too little or too much light of an environment,
@@ -396,7 +396,7 @@ def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
     )
 
 
-def _rarely_found(
+def _check_rare_lamps(
     scene: Scene,
     lamps: Sequence[str],
     own: Sequence[tuple[str, Surface]],
@@ -533,7 +533,7 @@ def _grid(view: View) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
-def _counted(
+def _count_faces(
     scene: Scene, view: View, rows: Float[Array, " n"], columns: Float[Array, " n"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
     """Return two numbers for each pixel. The first is the number of mirror and glass faces that its
@@ -543,10 +543,10 @@ def _counted(
     turning = jnp.asarray([is_delta(surface.material) for surface in scene.surfaces])
     glass = jnp.asarray([is_body(surface.material) for surface in scene.surfaces])
 
-    def of_pixel(row: Array, column: Array) -> tuple[Array, Array]:
+    def count_in_pixel(row: Array, column: Array) -> tuple[Array, Array]:
         ray = view_ray(view, row, column)
         everywhere = jnp.full_like(row, jnp.inf)
-        ray, _, before = _followed(surfaces, ray, everywhere, turning, bent=True)
+        ray, _, before = _follow(surfaces, ray, everywhere, turning, bent=True)
         met = meet(surfaces, ray)
         behind = jnp.full((), -1, jnp.int32)
         for light in scene.lights:
@@ -561,16 +561,16 @@ def _counted(
             else:
                 continue
             away = leave(met, ray, direction, met.surface >= 0)
-            last, left, count = _followed(surfaces, away, distance, glass, bent=False)
+            last, left, count = _follow(surfaces, away, distance, glass, bent=False)
             ahead = meet(surfaces, last)
             free = (met.surface >= 0) & ((ahead.surface < 0) | (ahead.hit.distance >= left))
             behind = jnp.maximum(behind, jnp.where(free, count, -1))
         return before, behind
 
-    return jax.vmap(of_pixel)(rows, columns)
+    return jax.vmap(count_in_pixel)(rows, columns)
 
 
-def _followed(
+def _follow(
     surfaces: Surfaces, ray: Ray, distance: Array, through: Array, *, bent: bool
 ) -> tuple[Ray, Array, Int[Array, ""]]:
     """Follow a ray through successive surfaces for which `through` is true, within a distance in m.

@@ -154,7 +154,7 @@ def _walk(
     which values are batched."""
     method = _simplest(world, method)
 
-    def begun(ray: Ray, pixel: Word) -> _Path:
+    def start(ray: Ray, pixel: Word) -> _Path:
         # a zero that depends on the path, so that under `vmap` the whole state is batched at once
         zero = (0 * pixel).astype(ray.origin.x.dtype)
         return _Path(
@@ -167,12 +167,12 @@ def _walk(
         )
 
     def step(path: _Path, k: Array) -> _Path:
-        def one(path: _Path, pixel: Word) -> _Path:
+        def bounce(path: _Path, pixel: Word) -> _Path:
             return _bounce(world, path, Stream(pixel, stream.sample, stream.seed), k, method)
 
-        return of_each(one)(path, stream.pixel)
+        return of_each(bounce)(path, stream.pixel)
 
-    path = of_each(begun)(ray, stream.pixel)
+    path = of_each(start)(ray, stream.pixel)
     pieces = method.depth - 1 if depth is None else depth.astype(jnp.uint32) - 1
     if depth is not None and method.roulette is None:
         path = jax.lax.fori_loop(

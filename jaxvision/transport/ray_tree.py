@@ -90,13 +90,13 @@ def ray_tree_radiance(
         [2.]
     """
     world = world_of(scene)
-    rays, rules = _followed(world, rays), _rules(scene, world, rule)
+    rays, rules = _count_rays(world, rays), _rules(scene, world, rule)
 
     @jax.checkpoint
     def follow(tree: _Tree, k: Array) -> tuple[_Tree, None]:
         return _follow(world, rules, k, tree), None
 
-    tree, _ = jax.lax.scan(follow, _planted(world, ray, rays), jnp.arange(rays))
+    tree, _ = jax.lax.scan(follow, _start_tree(world, ray, rays), jnp.arange(rays))
     return tree.radiance
 
 
@@ -115,10 +115,10 @@ def ray_tree_radiances(
         (n, bands) W m^-2 sr^-1.
     """
     world = world_of(scene)
-    rays, rules = _followed(world, rays), _rules(scene, world, rule)
+    rays, rules = _count_rays(world, rays), _rules(scene, world, rule)
 
     def tile(along: Ray) -> Float[Array, "n bands"]:
-        forest = jax.vmap(lambda ray: _planted(world, ray, rays))(along)
+        forest = jax.vmap(lambda ray: _start_tree(world, ray, rays))(along)
         numbers = jnp.arange(len(along.origin.x))
 
         @jax.checkpoint
@@ -149,7 +149,7 @@ def _follow_living(
     alive = (forest.weight > 0).any(axis=(1, 2))
     order = jnp.argsort(~alive)
 
-    def in_blocks(x: Array) -> Array:
+    def split_into_blocks(x: Array) -> Array:
         return x[order].reshape(-1, _block(len(x)), *x.shape[1:])
 
     def block(entry: tuple[_Tree, Array]) -> _Tree:
@@ -157,12 +157,12 @@ def _follow_living(
         follow = jax.vmap(lambda tree: _follow(world, rules, k, tree))
         return jax.lax.cond(alive.any(), follow, lambda trees: trees, trees)
 
-    followed = jax.lax.map(block, jax.tree.map(in_blocks, (forest, alive)))
+    followed = jax.lax.map(block, jax.tree.map(split_into_blocks, (forest, alive)))
     forest = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), followed)
     return forest, numbers[order]
 
 
-def _followed(world: World, rays: int) -> int:
+def _count_rays(world: World, rays: int) -> int:
     """Return the largest number of rays of a tree: `rays`, or 1 if the scene has no mirror and no
     glass."""
     check_count("rays", rays, 1)
@@ -182,7 +182,7 @@ def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
     return tuple(rules)
 
 
-def _planted(world: World, ray: Ray, rays: int) -> _Tree:
+def _start_tree(world: World, ray: Ray, rays: int) -> _Tree:
     """Return a tree with one pending ray, and empty slots in the pool for further rays."""
     slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype

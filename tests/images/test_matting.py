@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 from jaxvision import matting
 from jaxvision.errors import InputError
 from jaxvision.matting._laplacian import apply_stencil, matting_laplacian
-from jaxvision.matting._multigrid import coarsen, interpolated, restrict, v_cycle
+from jaxvision.matting._multigrid import coarsen, interpolate, restrict, v_cycle
 from jaxvision.matting.compositing import over
 
 RNG = np.random.default_rng(13)
@@ -202,7 +202,7 @@ def test_coarse_grids_are_galerkin_s():
     grids = jax.jit(coarsen)(stencil)
     assert len(grids.stencils) == 1
     units = jnp.eye(30).reshape(30, 5, 6)
-    p = np.asarray(jax.jit(jax.vmap(lambda x: interpolated(x, (rows, columns))))(units))
+    p = np.asarray(jax.jit(jax.vmap(lambda x: interpolate(x, (rows, columns))))(units))
     p = p.reshape(30, -1).T
     np.testing.assert_array_equal(p.sum(axis=1), 1)  # a constant stays itself
     coarse = p.T @ dense(np.asarray(stencil)) @ p

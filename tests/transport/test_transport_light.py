@@ -22,7 +22,7 @@ from jaxvision.transport import (
     ray_tree_radiances,
 )
 from jaxvision.transport._emitters import emitters_of
-from jaxvision.transport.light_paths import _emitted as emitted
+from jaxvision.transport.light_paths import _emit as emitted
 
 KEY = jax.random.key(2)
 BLACK = jv.Lambert([0.0, 0.0])

@@ -148,12 +148,12 @@ def _sampler() -> Problem:
 
         @jax.jit
         def run(keys: jax.Array) -> jax.Array:
-            def one(key: Any) -> jax.Array:
+            def estimate(key: Any) -> jax.Array:
                 return sampled_radiance(
                     key, material, sky, jnp.asarray(UP), jnp.asarray(VIEWER), samples=64
                 ).value
 
-            return jax.vmap(one)(keys)
+            return jax.vmap(estimate)(keys)
 
         return lambda seed: run(jax.random.split(jax.random.key(seed), 256))
 

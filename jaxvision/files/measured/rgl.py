@@ -132,9 +132,9 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
         shape, wanted = fields[name].shape, shapes.get(name, ())
         if len(shape) != dimensions[name] or shape[: len(wanted)] != wanted or 0 in shape:
             grid = f"{nodes[0]} azimuths and {nodes[1]} elevations of {bands} bands"
-            raise _damaged(file, name, f"has shape {shape}, which does not fit {grid}")
+            raise _damage_error(file, name, f"has shape {shape}, which does not fit {grid}")
         if not representable(fields[name]).all():
-            raise _damaged(file, name, "holds values that are not finite")
+            raise _damage_error(file, name, "holds values that are not finite")
     symmetry = _check_rgl_values(file, fields, spectral=spectral)
     dtype = jnp.result_type(float)
     table = {name: jnp.asarray(fields[name], dtype) for name in needed}
@@ -157,7 +157,7 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
-            raise _damaged(file, name, "does not increase")
+            raise _damage_error(file, name, "does not increase")
     if theta[0] < 0 or theta[-1] > np.pi / 2 + 1e-4:
         raise InputError(
             f"{file}: field 'theta_i' runs from {theta[0]:g} to {theta[-1]:g}, which must lie in "
@@ -172,22 +172,22 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
     symmetry = 1 if len(phi) <= 2 else round(2 * np.pi / span)
     if symmetry not in (1, 2, 4):
         turn = "which is neither a turn nor a half nor a quarter of one"
-        raise _damaged(file, "phi_i", f"spans {span:g} rad, {turn}")
+        raise _damage_error(file, "phi_i", f"spans {span:g} rad, {turn}")
     for name in ("ndf", "sigma", "vndf", "luminance"):
         lowest = fields[name].min()
         if lowest < 0:
-            raise _damaged(file, name, f"holds {lowest:g} where nothing can be negative")
+            raise _damage_error(file, name, f"holds {lowest:g} where nothing can be negative")
         if not fields[name].any():
-            raise _damaged(file, name, "is 0 everywhere")
+            raise _damage_error(file, name, "is 0 everywhere")
     if spectral:
         nanometres = fields["wavelengths"]
         if not np.isfinite(nanometres).all() or (nanometres < LEAST_NANOMETRES).any():
             wanted = f"finite numbers, in nm, of {LEAST_NANOMETRES:g} or more"
-            raise _damaged(file, "wavelengths", f"must hold {wanted}")
+            raise _damage_error(file, "wavelengths", f"must hold {wanted}")
     return symmetry
 
 
-def _damaged(file: Path, name: str, fault: str) -> InputError:
+def _damage_error(file: Path, name: str, fault: str) -> InputError:
     """Return the error for a field whose values cannot come from the RGL database."""
     return InputError(f"{file}: field {name!r} {fault}; copy the file again.")
 

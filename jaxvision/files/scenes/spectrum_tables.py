@@ -66,7 +66,7 @@ def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarra
     others = [head for place, head in enumerate(heads) if place != along]
     if column is not None and column not in others:
         raise InputError(f"{file}: no column {column!r}; {nearest(column, others)}.")
-    wanted = _only(file, others, quantity) if column is None else column
+    wanted = _value_column(file, others, quantity) if column is None else column
     at = next(n for n, head in enumerate(heads) if head == wanted and n != along)
     rows = []
     for number, line in enumerate(lines[first + 1 :], first + 2):
@@ -125,7 +125,7 @@ def _along(file: Path, heads: list[str]) -> int:
     return named[0] if named else 0
 
 
-def _only(file: Path, others: list[str], quantity: str) -> str:
+def _value_column(file: Path, others: list[str], quantity: str) -> str:
     """Return the header of the only column of values; refuse if it is not clear."""
     left = [h for h in others if not (_words(h) <= _INDEX or _words(h) & _UNCERTAINTY)]
     named = [h for h in left if _words(h) & _VALUES[quantity]]

@@ -341,7 +341,7 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
     """Return the `Reading` of a scene file's tables, with spectra of one quantity."""
 
-    def typed(hint: Any, where: str, value: Any) -> Any:
+    def read_typed(hint: Any, where: str, value: Any) -> Any:
         if isinstance(value, Mapping) and {"map", "texels"} & set(value):
             return _map_of(reading, bands, folder, hint, where, value)
         if hint == Colour:
@@ -351,10 +351,10 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
             return read_luminaire(folder.file(value_of(reading, where, str, value)))
         if hint in (Picture, Measured):
             name = value_of(reading, where, str, value)
-            return (_picture if hint == Picture else _measured)(folder, name, bands)
+            return (_picture if hint == Picture else _tabulate_measured)(folder, name, bands)
         return NotImplemented
 
-    reading = Reading(file, "scene", finite=True, typed=typed)
+    reading = Reading(file, "scene", finite=True, typed=read_typed)
     return reading
 
 
@@ -471,7 +471,7 @@ def _picture(folder: Folder, name: str, bands: Bands) -> np.ndarray:
     return picture
 
 
-def _measured(folder: Folder, name: str, bands: Bands) -> Material:
+def _tabulate_measured(folder: Folder, name: str, bands: Bands) -> Material:
     """Read a measured BRDF as a table in the bands of the scene."""
     file = folder.file(name)
     found = read_measured(file)

@@ -37,7 +37,7 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
     `shapes` are the sorted shapes of the scene."""
     splits = (1, plan.split, plan.split * _PARTS)
     patches, elements, parts = patches_at(scene, plan, splits)
-    covered = _covered(scene, parts, shapes)
+    covered = _is_covered(scene, parts, shapes)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
     # A mean of ones may round to less than 1. Then the element would count as partly open although
     # no part is open.
@@ -66,12 +66,12 @@ def mean_of_parts(
     return patch_means(values, parts, refined(plan, _PARTS))
 
 
-def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
+def _is_covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
     """Return whether each patch lies inside a body, which is so if the ray along its normal hits
     the back of a surface."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
-    def at(point: Vec, normal: Vec) -> Bool[Array, ""]:
+    def faces_inside(point: Vec, normal: Vec) -> Bool[Array, ""]:
         ray = Ray(offset_origin(point, normal, normal, size=shapes.size), normal)
         encounter = nearest_shape(ray, shapes)
         back = dot(hit_shape(ray, shapes, encounter).normal, normal) > 0
@@ -79,5 +79,5 @@ def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " pa
 
     start = patches.centre + patches.bulge * patches.normal
     return vmap_in_tiles(
-        at, *jax.lax.stop_gradient((start, patches.normal)), size=entries_per_step(TILE)
+        faces_inside, *jax.lax.stop_gradient((start, patches.normal)), size=entries_per_step(TILE)
     )

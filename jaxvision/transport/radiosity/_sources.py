@@ -29,7 +29,7 @@ Table = Float[Array, "surfaces bands"]
 def diffuse_of(scene: Scene, like: Array) -> Table:
     """Return `Lambert.diffuse` of all surfaces, sr^-1, broadcast to the bands of `like`."""
     materials = [surface.material for surface in scene.surfaces]  # `plan_patches` refuses others
-    return _stacked([m.diffuse for m in materials if isinstance(m, Lambert)], like)
+    return _stack([m.diffuse for m in materials if isinstance(m, Lambert)], like)
 
 
 def emission_of(scene: Scene, like: Array) -> Table:
@@ -37,10 +37,10 @@ def emission_of(scene: Scene, like: Array) -> Table:
     bands of `like`."""
     nothing = jnp.zeros(1, like.dtype)
     values = [surface.emission for surface in scene.surfaces]
-    return _stacked([nothing if value is None else value for value in values], like)
+    return _stack([nothing if value is None else value for value in values], like)
 
 
-def _stacked(values: Sequence[Array], like: Array) -> Table:
+def _stack(values: Sequence[Array], like: Array) -> Table:
     bands = np.broadcast_shapes(like.shape[-1:], *(value.shape for value in values))
     return jnp.stack([jnp.broadcast_to(value, bands) for value in values])
 
@@ -83,7 +83,7 @@ def irradiance_at(
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 
-        def from_light(_: None, light: Light, rule: Rule = rule) -> tuple[None, Colour]:
+        def light_irradiance(_: None, light: Light, rule: Rule = rule) -> tuple[None, Colour]:
             if not isinstance(light, RectangleLight):
                 return None, _sum_nodes(light, shapes, point, normal, rule)[1]
             white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))
@@ -91,7 +91,7 @@ def irradiance_at(
             share = divide(passed, met, met != 0)
             return None, rectangle_irradiance(light, point, normal) * share
 
-        total = total + jax.lax.scan(from_light, None, group)[1].sum(axis=0)
+        total = total + jax.lax.scan(light_irradiance, None, group)[1].sum(axis=0)
     return total
 
 

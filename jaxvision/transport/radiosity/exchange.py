@@ -144,7 +144,7 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
         numbers = jnp.arange(len(receivers.elements.area))
     wanted = jax.tree.map(lambda x: x[numbers], receivers.elements)
 
-    def seen(receiver: Numbered, sender: Numbered) -> Scalar:
+    def pair_visibility(receiver: Numbered, sender: Numbered) -> Scalar:
         (element, row), (patch, column) = receiver, sender
         stream = Stream(row.astype(jnp.uint32), column.astype(jnp.uint32), jnp.asarray(_SEED))
         return _visible_part(element, patch, stream, rays, shapes)
@@ -152,7 +152,7 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
     @jax.checkpoint
     def tile(receivers: Tile, senders: Tile) -> Array:
         def every(pair: Callable[[Numbered, Numbered], Scalar]) -> Array:
-            first, second = (_unpacked(part, patches) for part in (receivers, senders))
+            first, second = (_unpack(part, patches) for part in (receivers, senders))
             return jax.vmap(lambda e: jax.vmap(lambda p: pair(e, p))(second))(first)
 
         factors = every(partial(_far_factor, rounding))
@@ -161,7 +161,9 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
             lambda: jnp.where(factors < 0, every(_near_factor), factors),
             lambda: factors,
         )
-        return jax.lax.cond((factors > 0).any(), lambda: factors * every(seen), lambda: factors)
+        return jax.lax.cond(
+            (factors > 0).any(), lambda: factors * every(pair_visibility), lambda: factors
+        )
 
     return _Pairs(
         receivers=_split_tiles(wanted, numbers),
@@ -184,7 +186,7 @@ def _split_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
     return measured[:, tiles].swapaxes(0, 1), counted[:, tiles].swapaxes(0, 1)
 
 
-def _unpacked(tile: Tile, like: Patches) -> Numbered:
+def _unpack(tile: Tile, like: Patches) -> Numbered:
     """Return the patches of a tile, in the structure of `like`, and their indices."""
     rows = [iter(array) for array in tile]
     leaves, structure = jax.tree.flatten(like)

@@ -69,7 +69,7 @@ def _facing(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     x, y = (_ratio(side, gap) for side in (width, height))
     area = x * y
     extended = ~(area <= smallest_divisor(area.dtype) ** 1.5)
-    return divide(2 * _opposed(x, y), jnp.pi * area, extended)
+    return divide(2 * _parallel_sum(x, y), jnp.pi * area, extended)
 
 
 @_facing.defjvp
@@ -121,13 +121,13 @@ def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scal
 def _meeting(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
     w, h = (_ratio(side, edge) for side in (width, other))
     wide = ~(w <= smallest_divisor(w.dtype))
-    return divide(_hinged(w, h), jnp.pi * w, wide & ~(h <= 0))
+    return divide(_perpendicular_sum(w, h), jnp.pi * w, wide & ~(h <= 0))
 
 
 @_meeting.defjvp
 def _meeting_jvp(primals, tangents):
     """Differentiate `_meeting`. The derivative with respect to ln h is computed from `_rise`, and
-    the derivative with respect to the logarithm of the edge from the logarithms in `_hinged`. The
+    the derivative with respect to the logarithm of the edge from the logarithms in `_perpendicular_sum`. The
     derivative with respect to ln w is minus the sum of these two, because F depends only on ratios.
     All terms of a sum have the same sign, so nothing cancels."""
     (edge, width, other), (d_edge, d_width, d_other) = primals, tangents
@@ -143,8 +143,8 @@ def _meeting_jvp(primals, tangents):
 
 
 def _rise(h: Scalars, w: Scalars) -> Scalars:
-    """Return the derivative of `_hinged` with respect to h, acot(h) - h acot(S) / S + h ln(1 - c) /
-    2, with S and c as in `_hinged`."""
+    """Return the derivative of `_perpendicular_sum` with respect to h, acot(h) - h acot(S) / S + h ln(1 - c) /
+    2, with S and c as in `_perpendicular_sum`."""
     s = safe_sqrt(w * w + h * h)
     longer = w * divide(w, s + h, s > 0)  # S - h
     angle = arctan2(jnp.ones_like(s), s)
@@ -158,7 +158,7 @@ def _ratio(side: Scalars, unit: Scalars) -> Scalars:
     return divide(jnp.maximum(side, 0), unit, fits, _LARGEST)
 
 
-def _opposed(x: Scalars, y: Scalars) -> Scalars:
+def _parallel_sum(x: Scalars, y: Scalars) -> Scalars:
     """Return the sum in the form factor of parallel rectangles, ln[(1 + x^2)(1 + y^2) / (1 + x^2 +
     y^2)] / 2 + x g(x, y) + y g(y, x), where g is `_gain`. Each term is >= 0."""
     area = x * y
@@ -190,7 +190,7 @@ def _gain(x: Scalars, y: Scalars) -> Scalars:
     return jnp.where(near, small * (small * small) * (y * y / square) * series, of_angles)
 
 
-def _hinged(w: Scalars, h: Scalars) -> Scalars:
+def _perpendicular_sum(w: Scalars, h: Scalars) -> Scalars:
     """Return pi w F for the form factor F of Howell's C-14, which is symmetric in w and h. With w
     the shorter side, S^2 = w^2 + h^2, a = w^2 h^2 / (1 + S^2), b = h^2 / (S^2 (1 + w^2)) and c =
     w^2 / (S^2 (1 + h^2)), it is
@@ -210,7 +210,7 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
-    """Return ln(1 - b) with b = h^2 / (S^2 (1 + w^2)) and S^2 = w^2 + h^2, a term of `_hinged`."""
+    """Return ln(1 - b) with b = h^2 / (S^2 (1 + w^2)) and S^2 = w^2 + h^2, a term of `_perpendicular_sum`."""
     w2, h2 = w * w, h * h
     square = or_one(w2 + h2, w2 + h2 > 0)
     return _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * ((1 + w2 + h2) / square))
@@ -251,7 +251,7 @@ def parallel_exchange(
     scale = or_one(gap)
     x, y = (jnp.abs(_differences(first[i], second[i])) / scale for i in range(2))
     signs = jnp.asarray(np.outer(_SIGNS, _SIGNS), scale.dtype)
-    terms = signs * _opposed(*_pairs(x, y))
+    terms = signs * _parallel_sum(*_pairs(x, y))
     level = jnp.zeros_like(gap)
     facing = _corners(first, level, upward=True), _corners(second, gap, upward=False)
     return _surest(gap * gap / (2 * jnp.pi) * terms, first, second, facing)
@@ -278,7 +278,7 @@ def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2
     first, second = (jnp.stack([side[0], jnp.maximum(side[1], 0)]) for side in (first, second))
     along = jnp.maximum(jnp.abs(_differences(first[0], second[0])), smallest_divisor(first.dtype))
     away, up = (_ratio(side[1][:, None], along[None, :]) for side in (first, second))
-    rises = _hinged(*jnp.broadcast_arrays(away[:, None], up[None, :]))
+    rises = _perpendicular_sum(*jnp.broadcast_arrays(away[:, None], up[None, :]))
     signs = jnp.asarray(np.multiply.outer(np.outer([-1, 1], [-1, 1]), _SIGNS), along.dtype)
     terms = signs * (along * along)[None, None] * rises / (2 * jnp.pi)
     level = jnp.zeros_like(first[0, 0])
@@ -436,18 +436,18 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
     check_count("order", order, 2)
     dtype = first[0].x.dtype
 
-    def at(order: int) -> Scalar:
+    def integrate(order: int) -> Scalar:
         nodes, weights = square_nodes(order)
 
-        def one(s: Scalar, t: Scalar, weight: Scalar) -> tuple[Scalar, Scalar]:
+        def integrand(s: Scalar, t: Scalar, weight: Scalar) -> tuple[Scalar, Scalar]:
             place, patch = polygon_point(first, s, t)
             size = weight * norm(patch)
             return size * point_to_polygon(place, as_vec(normalize(patch)), second), size
 
         # All nodes in one call of a program whose size does not grow with their number.
         s, t = jnp.asarray(nodes, dtype).T
-        seen, sizes = jax.vmap(one)(s, t, jnp.asarray(weights, dtype))
+        seen, sizes = jax.vmap(integrand)(s, t, jnp.asarray(weights, dtype))
         return seen.sum() / or_one(sizes.sum())
 
-    value = at(order)
-    return Exchange(value, jnp.abs(value - at(order - 1)))
+    value = integrate(order)
+    return Exchange(value, jnp.abs(value - integrate(order - 1)))

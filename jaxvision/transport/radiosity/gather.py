@@ -218,9 +218,9 @@ def _along(
     met = _meet(enclosure, ray)
     direct = irradiance_at(enclosure.sources, enclosure.shapes, met.point, met.normal, rules)
     if gather is None:
-        exchanged = _interpolated(enclosure.solution.irradiance, met)
+        exchanged = _interpolate(enclosure.solution.irradiance, met)
     else:
-        exchanged = _gathered(enclosure, met, gather)
+        exchanged = _gather_irradiance(enclosure, met, gather)
     reflected = enclosure.diffuse[met.surface] * (direct + exchanged)
     own = jnp.where(met.seen, reflected + enclosure.emission[met.surface], 0)
     if not any(can_be_seen(light) for light in enclosure.lights):
@@ -249,7 +249,7 @@ def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
     )
 
 
-def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
+def _gather_irradiance(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
     """Return the irradiance from other surfaces, as a mean over rays with cosine-distributed
     directions."""
     sent = enclosure.solution.sent
@@ -259,7 +259,7 @@ def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
         wi = to_world(frame, cosine_direction(u))
         onward = Ray(offset_origin(met.point, met.normal, wi, size=size), wi)
         there = _meet(enclosure, onward)
-        arriving = _interpolated(sent, there)
+        arriving = _interpolate(sent, there)
         return total + jnp.where(there.seen, arriving, 0), None
 
     nothing = jnp.zeros(sent.shape[1], sent.dtype)
@@ -294,6 +294,6 @@ def _around(
     return around_place(enclosure.plan, covered, face, u, v)
 
 
-def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
+def _interpolate(values: Float[Array, "elements bands"], met: _Met) -> Colour:
     """Interpolate spectra between the elements around a hit, and set negative results to 0."""
     return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

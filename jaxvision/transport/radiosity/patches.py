@@ -143,7 +143,7 @@ def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]
 
 @one_program
 def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patches]:
-    measured = materialise(partial(_measured, plan=plan, splits=splits), scene)
+    measured = materialise(partial(_pack_patches, plan=plan, splits=splits), scene)
     start, results = 0, []
     for split in splits:
         surfaces = surfaces_of(plan, split=split)
@@ -156,7 +156,7 @@ def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patch
     return results
 
 
-def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
+def _pack_patches(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
     """Return an array whose rows are the real-valued fields of `Patches`, in order, for the cells
     of all splits."""
     corners, bulge = _cut(scene, plan, splits)
@@ -267,7 +267,8 @@ def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, V
     lattice = face_point(shape, face.part, u[:, None], v[None, :])
     if curved and split > 1:
         of_rows, of_columns = (
-            jnp.asarray(_between(count, split), dtype) for count in (face.rows, face.columns)
+            jnp.asarray(_interpolation_matrix(count, split), dtype)
+            for count in (face.rows, face.columns)
         )
         lattice = jax.tree.map(lambda x: of_rows @ x @ of_columns.T, lattice)
 
@@ -288,7 +289,7 @@ def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, V
     return ((a, b, c, d) if face.front else (a, d, c, b)), bulge
 
 
-def _between(count: int, split: int) -> np.ndarray:
+def _interpolation_matrix(count: int, split: int) -> np.ndarray:
     """Return the matrix that interpolates count + 1 numbers linearly, with `split` intervals
     between adjacent numbers."""
     places = np.arange(count * split + 1) / split

@@ -88,11 +88,11 @@ def radiosity(
     """
     # A function given by the caller may change from call to call, so it is not compiled and cached.
     warn_of_scene(scene)
-    solve = _solved if callable(table) else _solved_by_table
+    solve = _solve if callable(table) else _solved_by_table
     return solve(scene, plan, table, rule, method, rays)
 
 
-def _solved(
+def _solve(
     scene: Scene,
     plan: Plan,
     table: Float[Array, "elements patches"] | Product | None,
@@ -113,20 +113,20 @@ def _solved(
     by_lights = jnp.where(flat[:, None], emitted, 0)[surface]
     first = by_patches + albedo * patch_means(direct, receivers.elements, plan)
 
-    def received(leaving: PatchSpectra) -> Float[Array, "elements bands"]:
+    def distribute(leaving: PatchSpectra) -> Float[Array, "elements bands"]:
         return given(leaving) if callable(given) else given @ leaving
 
     def mean_received(leaving: PatchSpectra) -> PatchSpectra:
-        return patch_means(received(leaving), receivers.elements, plan)
+        return patch_means(distribute(leaving), receivers.elements, plan)
 
     exchange = mean_received if callable(given) else patch_means(given, receivers.elements, plan)
     solved = solve_radiosity(exchange, albedo, first, method=method)
-    irradiance, own = received(solved), jnp.asarray(parents_of(plan))
+    irradiance, own = distribute(solved), jnp.asarray(parents_of(plan))
     sent = by_patches[own] + albedo[own] * (direct + irradiance)
     return Solution(solved + by_lights, irradiance, sent, receivers.elements.area <= 0)
 
 
-_solved_by_table = one_program(_solved)
+_solved_by_table = one_program(_solve)
 
 
 @one_program
@@ -152,11 +152,15 @@ def _direct_irradiance(
 ) -> Float[Array, "elements bands"]:
     lights = sources_of(scene, largest_of(shapes))
 
-    def at(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
+    def element_irradiance(point: Vec, normal: Vec, number: Int[Array, ""]) -> Colour:
         rules = rules_of(scene, rule, numbers=(number,), count=len(lights))
         return irradiance_at(lights, shapes, point, normal, rules)
 
     start = elements.centre + elements.bulge * elements.normal
     return vmap_in_tiles(
-        at, start, elements.normal, jnp.arange(len(elements.area)), size=entries_per_step(TILE)
+        element_irradiance,
+        start,
+        elements.normal,
+        jnp.arange(len(elements.area)),
+        size=entries_per_step(TILE),
     )

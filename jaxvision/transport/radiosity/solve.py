@@ -183,10 +183,10 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
         (patches, bands) W m^-2.
     """
 
-    def once(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
+    def reflect(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
         return sent + albedo * (table @ radiosity)
 
-    return jax.lax.fori_loop(0, count, once, sent)
+    return jax.lax.fori_loop(0, count, reflect, sent)
 
 
 @takes_numbers
@@ -222,7 +222,7 @@ def shoot(
         Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity
         Image Generation", SIGGRAPH 1988.
     """
-    most = _most_added(table, albedo)
+    most = _largest_correction(table, albedo)
 
     def state_of(radiosity: PatchSpectra, unshot: PatchSpectra, shots: Array) -> State:
         rest = most * jnp.abs(unshot).max()
@@ -243,7 +243,7 @@ def shoot(
 _BOUNCES = 16
 
 
-def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
+def _largest_correction(table: Table, albedo: PatchSpectra) -> Scalar:
     """Return an upper bound on the light that all further reflections add to a patch, if the
     undistributed light of every patch is at most 1. The bound is infinite if the reflections do not
     decrease.
@@ -255,13 +255,13 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
     inexact table sum to more than 1.
     """
 
-    def once(_: Int[Array, ""], state: tuple[PatchSpectra, PatchSpectra]) -> tuple:
+    def add_term(_: Int[Array, ""], state: tuple[PatchSpectra, PatchSpectra]) -> tuple:
         total, term = state
         term = albedo * (table @ term)
         return total + term, term
 
     ones = jnp.ones_like(albedo)
-    total, term = jax.lax.fori_loop(0, _BOUNCES, once, (ones, ones))
+    total, term = jax.lax.fori_loop(0, _BOUNCES, add_term, (ones, ones))
     kept = (albedo * (table @ term)).max(axis=0)
     return (divide(total.max(axis=0), 1 - kept, kept < 1, jnp.inf) - 1).max()
 

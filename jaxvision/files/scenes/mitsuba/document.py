@@ -117,13 +117,13 @@ class Node:
         self._taken |= {name} if found else set()
         return found[0] if found else None
 
-    def within(self, tag: str) -> list["Node"]:
+    def children(self, tag: str) -> list["Node"]:
         """Return the child objects with a tag."""
         return [part for _, part in self.parts if part.tag == tag]
 
-    def only(self, tag: str) -> "Node | None":
+    def only_child(self, tag: str) -> "Node | None":
         """Return the child object with a tag, or None; `InputError` if there are several."""
-        found = self.within(tag)
+        found = self.children(tag)
         if len(found) > 1:
             raise self.wrong(f"has {len(found)} of <{tag}>; leave one.")
         return found[0] if found else None
@@ -273,12 +273,12 @@ class _Reader:
         return given
 
     def _fill_defaults(self, value: str) -> str:
-        def of(found: re.Match[str]) -> str:
+        def default_value(found: re.Match[str]) -> str:
             if found[1] not in self._defaults:
                 raise InputError(f"${found[1]} has no <default>; add one before its first use.")
             return self._defaults[found[1]]
 
-        return re.sub(r"\$(\w+)", of, value)
+        return re.sub(r"\$(\w+)", default_value, value)
 
     def _name(self, identifier: str, node: Node) -> None:
         if identifier in self._named:
