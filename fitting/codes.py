@@ -131,7 +131,7 @@ class Codes:
             octave = int(np.floor(np.log2(_noise(frame))))
             self._by_noise[octave] = _sum(self._by_noise.get(octave, counts[:0]), counts)
             return
-        self._broken = _counted([self._broken, np.unique(values, return_counts=True)])
+        self._broken = _merge_counts([self._broken, np.unique(values, return_counts=True)])
         self._continuous |= self._broken.shape[1] > MOST_VALUES
         if self._continuous:
             self._broken = self._broken[:, -COMPARED_NUMBERS - 1 :]
@@ -182,12 +182,12 @@ class Codes:
         if counts[0] < PILE or not least < ratio < most or share < LEAST_PILE_SHARE:
             return None
 
-        def combined(weights: Sequence[int]) -> tuple[float, float]:
+        def combine(weights: Sequence[int]) -> tuple[float, float]:
             own = np.array(weights)
             return float(own @ np.log(counts)), float(np.sqrt(own**2 @ (1 / counts)))
 
-        curvature, error = combined((0, 1, -2, 1))
-        excess, of_excess = combined((1, -3, 3, -1))
+        curvature, error = combine((0, 1, -2, 1))
+        excess, of_excess = combine((1, -3, 3, -1))
         smooth = LEAST_CURVATURE < curvature < 2 * error
         return float(used[0]) if smooth and excess > 2 * of_excess else None
 
@@ -205,7 +205,7 @@ class Codes:
         return Codes(
             _sum(self._whole, other._whole),
             {n: _sum(self._by_noise.get(n, none), other._by_noise.get(n, none)) for n in octaves},
-            _counted([self._broken, other._broken]),
+            _merge_counts([self._broken, other._broken]),
             self._continuous or other._continuous,
         )
 
@@ -278,7 +278,7 @@ def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return found
 
 
-def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
+def _merge_counts(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
     """Merge tables of values and counts to the sorted values and the count of each."""
     different, place = np.unique(np.concatenate([x[0] for x in parts]), return_inverse=True)
     counts = np.bincount(place, np.concatenate([x[1] for x in parts]), different.size)

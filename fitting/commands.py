@@ -137,22 +137,22 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
     """
     shared = inspect.signature(Options).parameters
 
-    def added(function: Callable[..., None]) -> Callable[..., None]:
+    def add(function: Callable[..., None]) -> Callable[..., None]:
         own = dict(inspect.signature(function).parameters)
         del own["options"]
 
-        def registered(**given: Any) -> None:
+        def run_command(**given: Any) -> None:
             options = Options(**{name: given.pop(name) for name in shared})
             function(options, **given)
 
         parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
-        update_wrapper(registered, function)
-        registered.__signature__ = inspect.Signature(parameters)
-        registered.__annotations__ = {p.name: p.annotation for p in parameters}
-        sub_command(app, *examples)(registered)
+        update_wrapper(run_command, function)
+        run_command.__signature__ = inspect.Signature(parameters)
+        run_command.__annotations__ = {p.name: p.annotation for p in parameters}
+        sub_command(app, *examples)(run_command)
         return function
 
-    return added
+    return add
 
 
 def run(

@@ -81,7 +81,7 @@ def init(folder: Path) -> "tuple[Path, FoundRig]":
     return path, found
 
 
-def _attempted(
+def _attempt(
     kind: str, title: str, make: Callable[[], "Section"], *, known: Sequence[str] = ()
 ) -> "Section":
     """Return the report section of a calibration. If its fit fails, the section gives the reason
@@ -152,7 +152,7 @@ def noise(
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     unstated: list[tuple[Rig, tuple[str, ...]]] = []
 
-    def fitted() -> "Section":
+    def fit_noise() -> "Section":
         own = draws("noise", progress)
         later = rig is not None and not channel and own["sampling"] is not None
         if later:  # a chain samples one camera
@@ -170,7 +170,7 @@ def noise(
 
     with step("fitting photon transfer") as progress:
         known = (*measurement.bright.left_out, *measurement.dark.left_out)
-        found = _attempted(KIND, TITLE, fitted, known=known)
+        found = _attempt(KIND, TITLE, fit_noise, known=known)
     if unstated:
         apart, sentences = unstated[0]
         first, *others = _noise_of_sites(apart, step, draws)
@@ -306,7 +306,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
     from .report.inputs import add_inputs
 
     looked_for = rig.camera.pattern is not None and rig.camera.taps is None
-    calibrations, failed = _each_site(rig, step, draws, chains=not looked_for)
+    calibrations, failed = _calibrate_sites(rig, step, draws, chains=not looked_for)
     if looked_for:
         unstated = {site: unstated_taps(one) for site, one in calibrations.items()}
         taps = {own for own in unstated.values() if own is not None}
@@ -319,14 +319,14 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
             sentences = tuple(f"{site}: {sentence}" for sentence in words)
             return [replace(first, findings=(*sentences, *first.findings)), *others]
         if draws("noise", lambda done, total: None)["sampling"] is not None:
-            calibrations, failed = _each_site(rig, step, draws)
+            calibrations, failed = _calibrate_sites(rig, step, draws)
     first, *others = sections_of_sites(calibrations, rig.camera)
     sentences = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
     first = replace(first, findings=(*sentences, *first.findings))
     return [add_inputs(first, rig, "photon transfer"), *others]
 
 
-def _each_site(
+def _calibrate_sites(
     rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
 ) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
     """Return the calibration of each site, with chains or Laplace's, and failed sites."""
@@ -428,7 +428,7 @@ def response(
         stack = read_exposure_stack(rig)
     images: dict[str, np.ndarray] = {}
 
-    def fitted() -> "Section":
+    def fit_response() -> "Section":
         calibration = calibrate(stack, **draws("response", progress))
         for group, radiance in radiance_images(calibration).items():
             images[f"radiance_{group}.exr" if group else "radiance.exr"] = radiance
@@ -437,7 +437,7 @@ def response(
         return section(calibration)
 
     with step("fitting response") as progress:
-        found = _attempted("response", "Camera response", fitted, known=stack.remarks)
+        found = _attempt("response", "Camera response", fit_response, known=stack.remarks)
     return [add_inputs(found, rig, "a response calibration")], images
 
 
@@ -493,7 +493,7 @@ def _photographs(
         with step(f"{doing}{of}") as progress:
             drawn = draws(f"{kind}_{colour}" if colour else kind, progress)
             by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
-            return _attempted(
+            return _attempt(
                 kind,
                 title,
                 lambda: calibrate(observation, **settings, **drawn, progress=by_fit).section,

@@ -32,11 +32,11 @@ def rig_in_memory(
 ) -> tuple[Rig, Load]:
     """Return a rig for images in memory, and the function that returns an image by its path."""
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
-    stored = {rig.path(n): _unmasked(n, image) for n, image in images.items()}
+    stored = {rig.path(n): _refuse_masks(n, image) for n, image in images.items()}
     return rig, stored.__getitem__
 
 
-def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
+def _refuse_masks(name: str, image: ArrayLike) -> np.ndarray:
     """Return an image as an array; refuse a mask that hides pixels."""
     if isinstance(image, np.ma.MaskedArray) and (hidden := int(np.ma.count_masked(image))):
         raise InputError(

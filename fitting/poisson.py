@@ -59,7 +59,7 @@ def log_poisson_tails(
 
     below, above = gammaincc(few, mean), gammainc(few, mean)
 
-    def of(
+    def log_tail(
         tail: Float[Array, "..."], other: Float[Array, "..."], deviate: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         summed = (n < limit) & (tail > jnp.finfo(tail.dtype).tiny)
@@ -69,7 +69,7 @@ def log_poisson_tails(
         directly = jnp.where(large, log1mexp(other), small)
         return jnp.where(summed, directly, log_ndtr(deviate))
 
-    return of(below, above, -star), of(above, below, star)
+    return log_tail(below, above, -star), log_tail(above, below, star)
 
 
 @log_poisson_tails.defjvp

@@ -270,7 +270,7 @@ def from_edge(
         >>> round(float(found.fwhm.mean), 1)  # pixels; 2.355 * 0.75 = 1.77
         1.8
     """
-    picture = _one_band(plain_array("from_edge: image", image), sensor, band)
+    picture = _select_band(plain_array("from_edge: image", image), sensor, band)
     if diffraction is not None and not _LEAST_DIFFRACTION <= diffraction < np.inf:
         raise InputError(
             f"from_edge: diffraction is {diffraction!r}; give wavelength times f-number over the "
@@ -285,7 +285,7 @@ def from_edge(
     blur = Blur(shape, diffraction)
     problem, start = _problem(pixels, sensor, blur)
     found = fit(problem, start=start, misfit="inflate")
-    return _measured(found, pixels, blur, reach)
+    return _measure(found, pixels, blur, reach)
 
 
 class _Pixels:
@@ -331,7 +331,7 @@ class _Pixels:
         self.sd = np.sqrt(np.maximum(variance, least**2))
         across = picture.shape[1] // _BLOCK + 1
         blocks = self.row // _BLOCK * across + self.column // _BLOCK
-        self.blocks = np.unique(blocks, return_inverse=True)[1] if _correlated(noise) else None
+        self.blocks = np.unique(blocks, return_inverse=True)[1] if _are_correlated(noise) else None
 
 
 def _refuse_mosaic(
@@ -353,7 +353,7 @@ def _refuse_mosaic(
         )
 
 
-def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
+def _are_correlated(noise: Float[np.ndarray, "h w"]) -> bool:
     """Return whether noise of neighbouring pixels, of unit variance, is correlated."""
     for lag in (1, 2):  # lag 2 for a band measured at every second pixel
         products = [
@@ -367,7 +367,9 @@ def _correlated(noise: Float[np.ndarray, "h w"]) -> bool:
     return False
 
 
-def _one_band(image: Any, sensor: jv.Sensor | None, band: int | None) -> Float[np.ndarray, "h w"]:
+def _select_band(
+    image: Any, sensor: jv.Sensor | None, band: int | None
+) -> Float[np.ndarray, "h w"]:
     """Return the numbers of one band, NaN at pixels that do not measure it."""
     picture = np.array(image, float)
     if picture.ndim not in (2, 3) or min(picture.shape[:2]) < _LEAST:
@@ -553,7 +555,7 @@ def _falls_to_half(x: Float[Array, " n"], y: Float[Array, " n"]) -> Array:
     return x[before] + (y[before] - 0.5) / (y[before] - y[after]) * (x[after] - x[before])
 
 
-def _measured(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolution:
+def _measure(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolution:
     """Measure the edge spread and the transfer without the model."""
     best = {name: float(np.asarray(number)) for name, number in found.values.items()}
     distance = _distance(pixels.inputs, np.radians(best["angle"]), best["place"], best["curvature"])

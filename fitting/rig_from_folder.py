@@ -260,7 +260,7 @@ def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
     return float(number.replace(",", ".")) * _UNITS[unit.lower()] or None, ""
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -400,7 +400,7 @@ def _levels(
     stems = {image.name: re.sub(r"[_-]?\d+$", "", Path(image.name).stem) for image in images}
     several = len(set(stems.values())) > 1
 
-    def grouped(stem_counts: bool) -> dict[Key, list[str]]:
+    def group_files(stem_counts: bool) -> dict[Key, list[str]]:
         groups: dict[Key, list[str]] = defaultdict(list)
         for image in images:
             iso = image.settings.iso if several_gains else None
@@ -408,12 +408,12 @@ def _levels(
             groups[_seconds(image), iso, warmth.get(image.name), stem].append(image.name)
         return groups
 
-    groups = grouped(several)
+    groups = group_files(several)
     if any(len(names) < 2 for names in groups.values()):  # numbers identify levels, not frames
-        groups = grouped(False)
+        groups = group_files(False)
     lines = []
     for (seconds, iso, kelvin, _), names in groups.items():
-        listed = "".join(f"\n    {_quoted(name)}," for name in names)
+        listed = "".join(f"\n    {_quote(name)}," for name in names)
         lines += ["", f"[[{kind}]]", f"files = [{listed}\n]", seconds]
         lines += [f"iso = {iso:g}"] if iso else []
         lines += [f"temperature = {kelvin:g}"] if kelvin else []
@@ -435,7 +435,7 @@ def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
         bands = dict.fromkeys(bands, "")
     lines = []
     for image in images:
-        lines += ["", "[[exposure]]", f"file = {_quoted(image.name)}", _seconds(image)]
+        lines += ["", "[[exposure]]", f"file = {_quote(image.name)}", _seconds(image)]
         lines += [f'group = "{bands[image.name]}"'] if bands[image.name] else []
     if any(image.exposure is None for image in images):
         found.missing.append("Exposures are in neither files nor names; give them in seconds.")
@@ -467,7 +467,7 @@ def _seconds(image: _Image) -> str:
 def _lights(images: Sequence[_Image], found: FoundRig) -> list[str]:
     lines = []
     for image in images:
-        lines += ["", "[[light]]", f"file = {_quoted(image.name)}", "# direction = [?, ?, ?]"]
+        lines += ["", "[[light]]", f"file = {_quote(image.name)}", "# direction = [?, ?, ?]"]
     if images:
         found.missing.append("Directions toward lights are in no file; give a unit vector each.")
     return lines
@@ -478,8 +478,8 @@ def _geometry(shape: Iterable[str], found: FoundRig) -> list[str]:
     masks = [name for name in shape if _MASK.search(name)]
     lines = ["", "[geometry]"]
     if normals:
-        lines.append(f"normals = {_quoted(normals[0])}")
+        lines.append(f"normals = {_quote(normals[0])}")
     else:
         lines.append("# sphere = { centre = [?, ?], radius = ? }  # column, row, pixels")
         found.missing.append("The shape: give the sphere's centre and radius, or normals.")
-    return lines + [f"mask = {_quoted(name)}" for name in masks[:1]]
+    return lines + [f"mask = {_quote(name)}" for name in masks[:1]]

@@ -279,9 +279,9 @@ class SensorCounts(eqx.Module):
         if self.codes is not None:
             return _binomial_deviates(self._log_shares(prediction), data, chance)
         share = self.log_density(prediction, data)
-        read, mean, counts, log_count = self._counted(prediction, data)
+        read, mean, counts, log_count = self._count_tables(prediction, data)
         low, high = self._ends(read, data, counts)
-        code, dark, bright = self._nearest_count(read, data), *_beyond(counts, mean)
+        code, dark, bright = self._nearest_count(read, data), *_log_tails(counts, mean)
         dark = jnp.where(counts[..., 0] <= code, dark, -jnp.inf)
         bright = jnp.where(counts[..., -1] >= code, bright, -jnp.inf)
         below = jnp.logaddexp(logsumexp(log_count + log_ndtr(low), axis=-1), dark)
@@ -314,12 +314,12 @@ class SensorCounts(eqx.Module):
         return jnp.clip(codes, *self._range())
 
     def _log_chances(self, prediction: Array, data: Array) -> Array:
-        read, mean, counts, log_count = self._counted(prediction, data)
+        read, mean, counts, log_count = self._count_tables(prediction, data)
         low, high = self._ends(read, data, counts)
         masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
         if _record(self.sensor).bits is None:
             return masses
-        dark, bright = _beyond(counts, mean)
+        dark, bright = _log_tails(counts, mean)
         black, white = self._ends_beyond(read, data, counts)
         beyond = jnp.where(black, dark, jnp.where(white, bright, -jnp.inf))
         some = beyond > -jnp.inf
@@ -360,7 +360,7 @@ class SensorCounts(eqx.Module):
     def _is_white(self, data: Array) -> Array:
         return data >= self._range()[1]
 
-    def _counted(self, prediction: Array, data: Array) -> tuple[_Reading, Array, Array, Array]:
+    def _count_tables(self, prediction: Array, data: Array) -> tuple[_Reading, Array, Array, Array]:
         """Return the read-out of pixels, the mean electrons (...), the electron counts (..., n) to
         sum over for each code, and ln of their probabilities."""
         mean = self._electrons(prediction)
@@ -396,14 +396,14 @@ class SensorCounts(eqx.Module):
             signal, slope = jax.jvp(self._signal, (middle,), (jnp.ones_like(middle),))
             return slope * (self._signal(code) - signal)
 
-        def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = ends
             middle = (low + high) / 2
             rises = log_mean - jnp.log(middle + 0.5) + pull(middle) / variance > 0
             return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
 
         ends = jnp.zeros_like(code + mean), jnp.maximum(jnp.maximum(code, mean), 1.0)
-        low, high = jax.lax.fori_loop(0, _HALVINGS, halved, ends)
+        low, high = jax.lax.fori_loop(0, _HALVINGS, halve, ends)
         peak = jnp.round((low + high) / 2)
         peak = jnp.where(self._is_black(data), jnp.maximum(peak, code), peak)
         return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)
@@ -449,7 +449,7 @@ def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Num
     return xp.where(lower < upper, deviate, -deviate)
 
 
-def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
+def _log_tails(counts: Array, mean: Array) -> tuple[Array, Array]:
     """Return ln of the probabilities of electrons below, and above, the summed counts."""
     mean = jnp.maximum(mean, 1e-30)
     fewer, _ = log_poisson_tails(jnp.maximum(counts[..., 0], 1), mean)

@@ -93,13 +93,13 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
     size = samples.dn.size
 
-    def of(leaf: Array) -> Array:
+    def select(leaf: Array) -> Array:
         return leaf[chosen] if leaf.shape[:1] == (size,) else leaf
 
     return replace(
         samples,
         **{
-            name: jax.tree.map(of, getattr(samples, name))
+            name: jax.tree.map(select, getattr(samples, name))
             for name in ("geometry", "dn", "deviation", "saturated")
         },
         offset=None if samples.offset is None else samples.offset[:, chosen],

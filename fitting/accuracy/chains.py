@@ -57,7 +57,7 @@ def chain_knobs(density: Density) -> Mapping[str, Turn]:
     """Return functions that vary the sampler and its chain length, by the setting's name."""
     about = (density.log_density, density.space, density.mode, density.covariance, density.args)
 
-    def drawn(options: Emcee | Nuts | None) -> Compute:
+    def sampler(options: Emcee | Nuts | None) -> Compute:
         def compute(seed: int) -> np.ndarray:
             if isinstance(options, Nuts):
                 found = nuts(*about, options=options, seed=seed)
@@ -81,10 +81,10 @@ def chain_knobs(density: Density) -> Mapping[str, Turn]:
             density,
         )
 
-    ways = {"laplace": gaussian(100_000), "nuts": drawn(Nuts()), "emcee": drawn(None)}
+    ways = {"laplace": gaussian(100_000), "nuts": sampler(Nuts()), "emcee": sampler(None)}
     return {
         "posterior": ways.__getitem__,
-        "chain length": lambda steps: drawn(Emcee(steps=steps, block=min(BLOCK, steps))),
-        "NUTS draws": lambda draws: drawn(Nuts(draws=draws)),
+        "chain length": lambda steps: sampler(Emcee(steps=steps, block=min(BLOCK, steps))),
+        "NUTS draws": lambda draws: sampler(Nuts(draws=draws)),
         "Laplace draws": gaussian,
     }

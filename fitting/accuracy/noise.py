@@ -124,11 +124,11 @@ def _tolerance(calibration: NoiseCalibration) -> Turn:
     start = start_vector(problem, calibration.standard.values)
     errors = np.sqrt(np.diagonal(fit.covariance))
 
-    def turned(tolerance: float) -> Compute:
+    def minimise_to(tolerance: float) -> Compute:
         def compute(seed: int) -> np.ndarray:
             found = minimise(negative_log_density, start, problem, tolerance=tolerance)
             return np.asarray(found.vector) / errors
 
         return compute
 
-    return turned
+    return minimise_to

@@ -39,7 +39,7 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     every = codes[:, plane.mask]
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 
-    def fitted(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:
+    def fit_curve(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:
         curve = fit_response_curve(
             every[:, chosen],
             plane.exposures,
@@ -57,15 +57,15 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
         def compute(seed: int) -> np.ndarray:
             rng = np.random.default_rng(seed)
-            return fitted(np.sort(rng.permutation(every.shape[1])[:wanted]))
+            return fit_curve(np.sort(rng.permutation(every.shape[1])[:wanted]))
 
         return compute
 
     everywhere = slice(None)
     return {
         "pixels": pixels,
-        "code bins": lambda bins: lambda seed: fitted(everywhere, most_bins=bins),
-        "curve rounds": lambda rounds: lambda seed: fitted(everywhere, rounds=rounds),
+        "code bins": lambda bins: lambda seed: fit_curve(everywhere, most_bins=bins),
+        "curve rounds": lambda rounds: lambda seed: fit_curve(everywhere, rounds=rounds),
     }
 
 

@@ -67,7 +67,7 @@ def problems(
     fits, now = fits_of(rig), time.perf_counter
     until = now() + seconds * len(fits)
     try:
-        return run_within(lambda: _calibrated(rig, fits, load), lambda: until - now())
+        return run_within(lambda: _calibrate(rig, fits, load), lambda: until - now())
     except OutOfTime:
         raise InputError(
             f"{rig.folder}: the reference calibration takes longer than {seconds:.3g} s; allow "
@@ -75,7 +75,7 @@ def problems(
         ) from None
 
 
-def _calibrated(
+def _calibrate(
     rig: Rig, fits: tuple[str, ...], load: Load
 ) -> dict[str, tuple[Problem, tuple[str, ...]]]:
     found = {}

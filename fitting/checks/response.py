@@ -101,7 +101,7 @@ def photographs(stack: Stack, seed: int) -> np.ndarray:
     scene, frames, black = _scene(rng), [], _black(stack, seed)
     corners = rng.integers(RIM, np.array(SHAPE) + RIM - LEAF, (LEAVES, 2))
     for time in stack.times * np.exp(stack.shutter_sd * rng.standard_normal(len(stack.times))):
-        light = _moved(scene, corners, stack.hand, rng) if stack.hand else scene
+        light = _shift_scene(scene, corners, stack.hand, rng) if stack.hand else scene
         light = np.clip(light[RIM:-RIM, RIM:-RIM] * time, 0, 50)
         electrons = rng.poisson(light * FULL_WELL) + READ_NOISE * rng.standard_normal(SHAPE)
         encoded = stack.encode(np.maximum(electrons / FULL_WELL, 0))
@@ -113,7 +113,7 @@ def photographs(stack: Stack, seed: int) -> np.ndarray:
     return np.stack(frames).astype(np.uint16)
 
 
-def _moved(
+def _shift_scene(
     scene: np.ndarray, corners: np.ndarray, hand: float, rng: np.random.Generator
 ) -> np.ndarray:
     moved = scene.copy()

@@ -171,7 +171,7 @@ def _sensor(truth: Truth) -> Sensor:
     )
 
 
-def _exposed(bench: _Bench, exposure: float) -> _Bench:
+def _expose(bench: _Bench, exposure: float) -> _Bench:
     sensor = replace(bench.sensor, exposure_time=jnp.asarray(exposure))
     return _Bench(sensor, bench.die_key, bench.frame_key)
 
@@ -182,7 +182,7 @@ class _Counted:
     def __init__(self, total: int, progress: Progress | None) -> None:
         self.numbers, self.total, self.progress = itertools.count(1), total, progress
 
-    def one(self) -> None:
+    def count(self) -> None:
         done = next(self.numbers)
         if self.progress is not None:
             self.progress(done, self.total)
@@ -199,7 +199,7 @@ class _Film:
     def write(self, path: Path, pixels: np.ndarray) -> None:
         write_image(path, pixels)
         self.next += 1
-        self.counted.one()
+        self.counted.count()
 
 
 def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
@@ -216,7 +216,7 @@ def _photon_transfer(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> 
             names = [f"{kind}_{i:02d}_{frame:02d}.tif" for frame in range(frames)]
             for name in names:
                 raw = _flat_frame(
-                    _exposed(bench, float(exposure)),
+                    _expose(bench, float(exposure)),
                     jnp.asarray(rate),
                     jnp.asarray(film.next),
                     shape=FLAT_SIZE,
@@ -251,7 +251,7 @@ def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> N
     development = Development(black_level=truth.offset, white_level=white, tone=Gamma(truth.gamma))
     entries = []
     for i, exposure in enumerate(STACK_EXPOSURES):
-        camera = Camera(view, _exposed(bench, exposure).sensor, development)
+        camera = Camera(view, _expose(bench, exposure).sensor, development)
         taken = _picture(bench, scene, camera, jnp.asarray(film.next))
         name = f"stack_{i:02d}.png"
         film.write(folder / name, np.asarray(to_integers(taken.picture, bits=8)))
@@ -277,7 +277,7 @@ def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench)
     entries = []
     for i, direction in enumerate(sphere_lights()):
         light = DirectionalLight(direction, jnp.full(3, white / per_photon))
-        camera = Camera(view, _exposed(bench, exposure).sensor)
+        camera = Camera(view, _expose(bench, exposure).sensor)
         scene, frame = Scene((ball,), (light,)), jnp.asarray(film.next)
         taken = _picture(bench, scene, camera, frame, rays=RAYS)
         name = f"light_{i:02d}.tif"
@@ -291,7 +291,7 @@ def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench)
             }
         )
     cap_on = _flat_frame(
-        _exposed(bench, exposure), jnp.zeros(()), jnp.asarray(film.next), shape=FLAT_SIZE
+        _expose(bench, exposure), jnp.zeros(()), jnp.asarray(film.next), shape=FLAT_SIZE
     )
     camera = {
         "bits": truth.bits,

@@ -81,7 +81,7 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
     """Evaluate a function of the parameters at every draw."""
 
-    def one(natural: Array) -> Array:
+    def evaluate(natural: Array) -> Array:
         found = give(problem, function, values_from(problem, natural), problem.inputs)
         try:
             return jnp.asarray(found)
@@ -91,7 +91,7 @@ def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Arra
                 "one array, or call derived once for each."
             ) from error
 
-    return jax.lax.map(one, natural, batch_size=BATCH)
+    return jax.lax.map(evaluate, natural, batch_size=BATCH)
 
 
 @eqx.filter_jit
@@ -100,7 +100,7 @@ def simulate_data(
 ) -> Array:
     """Simulate one data set from each draw of the parameters."""
 
-    def one(key_and_natural: tuple[Array, Array]) -> Array:
+    def simulate(key_and_natural: tuple[Array, Array]) -> Array:
         key, natural = key_and_natural
         values = values_from(problem, natural)
         likelihood = likelihood_at(problem, values)
@@ -108,7 +108,7 @@ def simulate_data(
         predicted = prediction(problem, values, inputs=inputs)
         return (likelihood if louder is None else louder).draw(key, predicted)
 
-    return jax.lax.map(one, (keys, natural), batch_size=BATCH)
+    return jax.lax.map(simulate, (keys, natural), batch_size=BATCH)
 
 
 def bands(draws: np.ndarray) -> Bands:

@@ -137,7 +137,7 @@ def _unseen_by(
     _, _, measure = measure_effects(fit(problem), target)
     effects, left = removable_effects(problem, samples=samples, depth=depth)
 
-    def moved(names: Collection[str]) -> float:
+    def shift(names: Collection[str]) -> float:
         """Return a bound on the shift in standard errors; inf if the data's distribution or the
         standard error changes.
         """
@@ -148,11 +148,11 @@ def _unseen_by(
         same = abs(np.log(found.ratio)) <= tolerance and abs(found.fall) <= _limit(tolerance)
         return found.bound if same else np.inf
 
-    bounds = {name: moved((name,)) for name in effects}
+    bounds = {name: shift((name,)) for name in effects}
     ranked = sorted(bounds, key=lambda name: bounds[name])
     within = np.cumsum([bounds[name] for name in ranked]) <= tolerance
     gone = [name for name, fits in zip(ranked, within, strict=True) if fits]
-    while gone and not moved(gone) <= tolerance:
+    while gone and not shift(gone) <= tolerance:
         gone.pop()
     if not gone:
         return problem

@@ -58,7 +58,7 @@ def data_check(
     biased = None if faulty else _errors_of_data(seen, known)
     if biased is not None:
         return biased
-    found = _repeated(seen, known, faulty=faulty, overrated=bool(checks.remarks), seed=seed)
+    found = _find_repeats(seen, known, faulty=faulty, overrated=bool(checks.remarks), seed=seed)
     if faulty and not explained:
         return DataCheck(failures=found)
     return DataCheck(findings=found)
@@ -94,7 +94,7 @@ def data_check_of_map(
     biased = None if faulty else _errors_of_data(seen, known)
     if biased is not None:
         return (*biased.failures, *biased.findings)
-    return _repeated(seen, known, faulty=faulty, overrated=False, seed=seed)
+    return _find_repeats(seen, known, faulty=faulty, overrated=False, seed=seed)
 
 
 @eqx.filter_jit
@@ -104,16 +104,16 @@ def _pixel_predictions(
     """Return the predictions at the best fits and data simulated from them, each (pixels, ...)."""
     whole, form = jax.tree.flatten(problem.inputs)
 
-    def one(vector: Array, own: list[Array | None], key: Array) -> tuple[Array, Array]:
+    def predict_pixel(vector: Array, own: list[Array | None], key: Array) -> tuple[Array, Array]:
         values = values_at(problem, vector)
         every = [a if b is None else b for a, b in zip(whole, own, strict=True)]
         predicted = prediction(problem, values, inputs=jax.tree.unflatten(form, every))
         return predicted, likelihood_at(problem, values).draw(key, predicted)
 
-    return jax.vmap(one)(vectors, inputs, keys)
+    return jax.vmap(predict_pixel)(vectors, inputs, keys)
 
 
-def _repeated(
+def _find_repeats(
     seen: "_FitOfPresent", known: np.ndarray, *, faulty: bool, overrated: bool, seed: int
 ) -> tuple[str, ...]:
     """Return findings about values that occur more than once in the data."""
@@ -122,9 +122,11 @@ def _repeated(
         return ()
     if len(values) == 1:
         return _constant(seen, known, seed)
-    found = _copied(known, counts) + _clipped(seen, values, counts, seed, overrated=overrated)
+    found = _find_copies(known, counts) + _find_clipping(
+        seen, values, counts, seed, overrated=overrated
+    )
     if faulty:
-        found += _rounded(seen, known, seed)
+        found += _find_rounding(seen, known, seed)
     return tuple(found)
 
 
@@ -214,7 +216,7 @@ def _constant(seen: _FitOfPresent, known: np.ndarray, seed: int) -> tuple[str, .
     )
 
 
-def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
+def _find_copies(known: np.ndarray, counts: np.ndarray) -> list[str]:
     """Return a finding if many data are equal to others, although they are neither rounded to a
     grid nor limited by float32.
     """
@@ -229,7 +231,7 @@ def _copied(known: np.ndarray, counts: np.ndarray) -> list[str]:
     ]
 
 
-def _clipped(
+def _find_clipping(
     seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, seed: int, *, overrated: bool
 ) -> list[str]:
     """Return a finding for each end of the range at which data are clipped: many data are equal to
@@ -257,7 +259,7 @@ def _clipped(
     return found
 
 
-def _rounded(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str]:
+def _find_rounding(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str]:
     """Return a finding if the data are rounded to a step coarser than their noise and the
     likelihood ignores this.
     """

@@ -208,7 +208,9 @@ def measure_effects(
     begun, start = (x[0] for x in derivatives(at[None], problem, parts=chunks(problem))[:2])
     own = np.sqrt(2 * max(optimum.decrement, 0.0))  # standard errors from the maximum
 
-    def moved(name: str, end: np.ndarray, rest: float, cost: float, curvature: Any) -> Moved:
+    def measure_shift(
+        name: str, end: np.ndarray, rest: float, cost: float, curvature: Any
+    ) -> Moved:
         there, slope = slope_of(problem, target, end)
         ratio = float(np.sqrt(slope @ np.linalg.solve(curvature, slope))) / linear
         shift = (there - value) / sd
@@ -226,7 +228,7 @@ def measure_effects(
             by, size = by + step, float(np.sqrt(step @ information @ step))
             ratio = size / before if before > 0 else 0.0
             if np.isfinite(before) and ratio < _SLOWEST:
-                found = moved(name, at + by, size * ratio / (1 - ratio), cost, curvature)
+                found = measure_shift(name, at + by, size * ratio / (1 - ratio), cost, curvature)
                 if found.bound - abs(found.shift) <= max(_SHARE * abs(found.shift), _LEAST) + own:
                     return found
             before = size
@@ -237,9 +239,9 @@ def measure_effects(
         if not end.stationary or end.saddle or less.stream is not None:
             return Moved(name, np.nan, np.inf, np.nan, np.nan)
         rest = np.sqrt(2 * max(end.decrement, 0.0))
-        return moved(name, end.vector, rest, end.cost, end.curvature)
+        return measure_shift(name, end.vector, rest, end.cost, end.curvature)
 
-    def both(name: str, less: Problem) -> Moved:
+    def step_or_search(name: str, less: Problem) -> Moved:
         return (None if optimum.unseen else step_to_mode(name, less)) or search_mode(name, less)
 
-    return value, sd, both
+    return value, sd, step_or_search

@@ -70,12 +70,12 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
     values = values_at(problem, vector)
     likelihood, predicted = likelihood_at(problem, values), prediction(problem, values)
 
-    def one(key: Array) -> Array:
+    def draw_information(key: Array) -> Array:
         drawn = likelihood.draw(key, predicted)
         new = eqx.tree_at(lambda p: p.data, problem, jnp.asarray(drawn, problem.data.dtype))
         return outer(jax.jacfwd(lambda v: log_likelihood_terms(v, new).ravel())(vector))
 
-    return jnp.mean(jax.lax.map(one, keys, batch_size=BATCH), axis=0)
+    return jnp.mean(jax.lax.map(draw_information, keys, batch_size=BATCH), axis=0)
 
 
 def replace_inputs(problem: Problem, inputs: Any) -> Problem:
@@ -132,7 +132,7 @@ def _number(natural: Array, place: Array) -> Array:
 def _gradient(
     vector: Vector, problem: Problem, target: Callable[..., Any], place: Array | None
 ) -> tuple[Array, Array]:
-    def of(vector: Array) -> Array:
+    def evaluate(vector: Array) -> Array:
         values = values_at(problem, vector)
         if place is not None:
             free = jnp.concatenate([values[p.name].ravel() for p in problem.free])
@@ -142,7 +142,7 @@ def _gradient(
             raise InputError(f"A target is one number, got an array of shape {found.shape}.")
         return found.reshape(())
 
-    return jax.value_and_grad(of)(vector)
+    return jax.value_and_grad(evaluate)(vector)
 
 
 def plan(

@@ -38,7 +38,9 @@ def warn_of_moving_edges(problem: Problem) -> None:
     for name, i in every[:: -(-len(every) // _MOST)]:
         way = jnp.zeros(values[name].size).at[i].set(1.0).reshape(values[name].shape)
         size = max(float(np.linalg.norm(to_host(values[name]))), 1e-3)
-        whole, missed, unsure = to_host(_compared(problem, values, {name: _STEP * size * way}))
+        whole, missed, unsure = to_host(
+            _compare_derivatives(problem, values, {name: _STEP * size * way})
+        )
         if missed - unsure > MISSED_SHARE * whole:
             shares[name] = max(shares.get(name, 0.0), float(missed / whole))
     if shares:
@@ -79,7 +81,7 @@ def _geometric(problem: Problem) -> Iterator[str]:
 
 
 @eqx.filter_jit
-def _compared(problem: Problem, values: Values, step: Values) -> Array:
+def _compare_derivatives(problem: Problem, values: Values, step: Values) -> Array:
     """Compare the derivative of the prediction with finite differences. Let D be the change of the
     picture by a central difference over half of `step`. Return three norms over blocks of pixels:
     of D, of D minus the derivative, and of D minus the difference over the whole `step`.

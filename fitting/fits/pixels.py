@@ -172,7 +172,7 @@ def fit_map(
     if few:
         why = f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide."
         remarks = (why, *remarks)
-    return _mapped(problem, table, chi_square, dof, state, shape, remarks=remarks)
+    return _build_maps(problem, table, chi_square, dof, state, shape, remarks=remarks)
 
 
 def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
@@ -248,7 +248,7 @@ def _outcome(
     return {name: x.T for name, x in columns.items()}, (chi_square, dof, state)
 
 
-def _mapped(
+def _build_maps(
     problem: Problem,
     table: dict[str, np.ndarray],
     chi_square: np.ndarray,
@@ -315,12 +315,12 @@ def _fit_labels(
     whole, form = jax.tree.flatten(problem.inputs)
 
     def rows(values: Any, inputs: Any) -> Any:
-        def one(place: Any, own: list[Any]) -> Any:
+        def predict_pixel(place: Any, own: list[Any]) -> Any:
             del place
             every = [a if b is None else b for a, b in zip(whole, own, strict=True)]
             return prediction(problem, values, inputs=jax.tree.unflatten(form, every))
 
-        return jax.vmap(one)(inputs["place"], inputs["own"])
+        return jax.vmap(predict_pixel)(inputs["place"], inputs["own"])
 
     # Arrays of the likelihood have the shape of one pixel's data, without an axis of pixels.
     likelihood = jax.tree.map(
@@ -364,4 +364,4 @@ def _fit_labels(
         state[places] = STATES.index("converged" if good else "misfit")
         if not found.optimum.stationary:
             state[places] = STATES.index("stopped")
-    return _mapped(problem, table, chi_square, dof, state, shape, fits, sentences)
+    return _build_maps(problem, table, chi_square, dof, state, shape, fits, sentences)

@@ -194,16 +194,16 @@ def fit(
             for choice in choices:
                 problem = problem if choice.kept else problem.without(choice.name)
         elif problem.candidates:
-            problem, optimum, choices = _chosen(problem, how, advance)
+            problem, optimum, choices = _choose_candidates(problem, how, advance)
         else:
             optimum = _optimum(problem, how, advance)
-        end = _tested(problem, optimum, how, advance)
+        end = _test_optimum(problem, optimum, how, advance)
     optimum, residuals, checks, wide = end.optimum, end.residuals, end.checks, end.wide
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     before = None if after is None else after.posterior
     failures = verdict(problem, optimum, checks, wide.explained, wide_noise=_fits_width(problem))
     against = conflicts(problem, optimum, wide)
-    why = _contradicted(problem, end, how) if failures else ()
+    why = _contradicted_priors(problem, end, how) if failures else ()
     failures = [*why] or failures
     own = DataCheck()
     if not why:
@@ -278,7 +278,7 @@ def _optimum(
     return optimum
 
 
-def _chosen(
+def _choose_candidates(
     problem: Problem, how: _How, advance: Advance
 ) -> tuple[Problem, Optimum, tuple[Choice, ...]]:
     """Return the problem without the candidates that the data do not support, its optimum, and the
@@ -318,7 +318,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
     elif problem.present is not None:
         count = float(to_host(problem.present).sum())
     with suppress(InputError):  # without a term, a parameter may be undetermined
-        end = _tested(problem, optimum, how, advance)
+        end = _test_optimum(problem, optimum, how, advance)
         information = np.linalg.inv(end.wide.covariance)
     if end is not None and end.wide.noise > 1:
         freedom[:] = max(end.checks.dof, 1)
@@ -341,7 +341,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
     return tuple(found)
 
 
-def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
+def _contradicted_priors(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     """Return sentences on the priors that made a fit fail: with wider priors the model describes
     the data, and the data disagree with the stated priors. The result is empty if priors are not
     the cause.
@@ -352,11 +352,13 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     near = values_at(problem, jnp.asarray(end.optimum.vector, jnp.result_type(float)))
     near = {p.name: np.asarray(near[p.name]) for p in problem.free}
 
-    def unseen(done: int, total: int) -> None:
+    def discard_progress(done: int, total: int) -> None:
         """Show no progress."""
 
     try:
-        alone = _tested(loose, _optimum(loose, how, unseen, near=near), how, unseen)
+        alone = _test_optimum(
+            loose, _optimum(loose, how, discard_progress, near=near), how, discard_progress
+        )
     except InputError:  # without its priors the problem has no maximum
         return ()
     if not alone.optimum.stationary or (alone.checks.faults and not alone.wide.explained):
@@ -364,11 +366,11 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     return blame_priors(problem, alone.optimum.vector, alone.wide, end.checks, alone.checks)
 
 
-def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
+def _test_optimum(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
     """Return the optimum with its residuals, their checks, and the covariance that includes a
     misfit. An optimum with an unidentifiable direction is refused.
     """
-    optimum = _determined(problem, optimum, advance)
+    optimum = _require_identifiable(problem, optimum, advance)
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     residuals = residuals_at(problem, vector, seed=how.seed)
     if problem.stream is None:
@@ -412,7 +414,7 @@ def _search_more(
     return optimum
 
 
-def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
+def _require_identifiable(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
     """Return the optimum if every direction is identifiable, and raise otherwise. The optimum of a
     saddle is returned with the exact curvature there.
     """

@@ -104,7 +104,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
         frames = levels.frames[there[place]]
         if not frames:
             continue
-        other = _exchanged(signal, light, place)
+        other = _find_exchange(signal, light, place)
         if other is not None and levels.frames[there[other]]:
             with_it = levels.frames[there[other]]
             names = tuple(frame.name for frame in (*frames, *with_it))
@@ -144,7 +144,7 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
     leak would affect several levels."""
     assert levels.black is not None
     while True:
-        there = _unsaturated(levels)
+        there = _unsaturated_levels(levels)
         if len(there) < FEWEST_ON_A_CURVE:
             return
         signal, light = _signals(levels, there), levels.light[there]
@@ -167,7 +167,7 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
         levels.remove(there[worst], range(len(frames)), reason)
 
 
-def _unsaturated(levels: ComparedLevels) -> list[int]:
+def _unsaturated_levels(levels: ComparedLevels) -> list[int]:
     """Return the indices of the unsaturated levels with light, ordered by light. If saturated
     levels follow, the brightest unsaturated level is omitted, because some of its pixels may be
     saturated."""
@@ -220,7 +220,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
     black level is uneven) and toward saturation (if the response is nonlinear)."""
     assert levels.black is not None
     while True:
-        there = _unsaturated(levels)
+        there = _unsaturated_levels(levels)
         if len(there) < FEWEST_ON_A_CURVE:
             return
         signal = _signals(levels, there)
@@ -306,7 +306,7 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
     return found
 
 
-def _exchanged(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
+def _find_exchange(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
     """Return the index of the level whose frames were probably exchanged with the frames of the
     given level; None if there is no such level."""
     rates = signal / light

@@ -54,7 +54,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
             odd.setdefault(
                 name, f"its metadata say {kelvin:.4g} K, those of the others {usual:.4g} K"
             )
-    mistimed, remarks = _mistimed(frames, said)
+    mistimed, remarks = _compare_exposures(frames, said)
     found = [OddFrames((name,), reason) for name, reason in (mistimed | odd).items()]
     return found, remarks
 
@@ -131,7 +131,7 @@ def _minority(
     }
 
 
-def _mistimed(
+def _compare_exposures(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
     """Return the frames whose exposure in the metadata differs from the rig, and a remark if the

@@ -79,7 +79,7 @@ def _pairs(count: int) -> list[tuple[int, int]]:
     return list(combinations(range(count), 2) if count < 24 else pairwise(range(count)))
 
 
-def _parted(
+def _mark_distant_frames(
     distances: Float[np.ndarray, " frames"],
     limit: float,
     expected: Float[np.ndarray, " frames"] | None,
@@ -168,7 +168,7 @@ def _means(levels: ComparedLevels) -> None:
         distances = np.abs(values - middle) * (2 if len(values) == 2 else 1)
         mean = levels.expected(level)
         expected = None if mean is None else np.abs(values - mean)
-        _take(levels, level, _parted(distances, limit, expected), _mean_in_words)
+        _take(levels, level, _mark_distant_frames(distances, limit, expected), _mean_in_words)
 
 
 def _take(
@@ -222,7 +222,12 @@ def _unevenness(levels: ComparedLevels) -> None:
         away = 2.0 if len(own) == 2 else 1.0
         distances = np.array([away * rms(field - middle) for field in own])
         expected = None if usual is None else np.array([rms(field - usual) for field in own])
-        _take(levels, level, _parted(distances, limit, expected), lambda odd, rest: uneven)
+        _take(
+            levels,
+            level,
+            _mark_distant_frames(distances, limit, expected),
+            lambda odd, rest: uneven,
+        )
 
 
 def _noise(levels: ComparedLevels) -> None:
@@ -240,7 +245,7 @@ def _noise(levels: ComparedLevels) -> None:
         scatter = _scatter([abs(logs[i] - logs[j]) for i, j in _pairs(len(logs))])
         chance = np.sqrt(2 / frames[0].sample.size)
         limit = max(SURE * max(scatter, chance), np.log(OTHER_NOISE))
-        far = _parted(np.abs(logs - np.median(logs)), limit, None)
+        far = _mark_distant_frames(np.abs(logs - np.median(logs)), limit, None)
         ratios = variances / np.median(variances)
         reasons = {
             frame.name: "the variance of its difference from the median of its level is "

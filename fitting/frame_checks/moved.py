@@ -35,7 +35,9 @@ def moved_frames(levels: ComparedLevels) -> None:
         for level, frames in enumerate(levels.frames)
         if 2 <= len(frames) <= MOST_FRAMES and levels.light[level] > 0
     }
-    parted = {level: found for level, own in samples.items() if (found := _parted(own)) is not None}
+    parted = {
+        level: found for level, own in samples.items() if (found := _group_frames(own)) is not None
+    }
     apart = {level: _difference(samples[level], groups) for level, (groups, _) in parted.items()}
     if len(apart) < FEWEST_LEVELS or len({field.size for field in apart.values()}) > 1:
         return
@@ -66,7 +68,7 @@ def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarra
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 
-def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
+def _group_frames(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
     """Divide frames into groups that differ by noise alone, the largest group first. Also return
     the variance of differences between groups over the variance of differences within groups. Two
     frames count as two groups, with the ratio NaN. Return None if there is only one group, or if

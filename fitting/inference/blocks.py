@@ -33,7 +33,7 @@ def resume_blocks(
     """Return the blocks from which a run continues: those in memory or those in the checkpoint
     folder (None for no folder), whichever are more. Blocks that the folder lacks are written to it.
     """
-    stored = [] if folder is None else _stored(Path(folder))
+    stored = [] if folder is None else _read_blocks(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _have_fingerprint(stored, fingerprint):
         raise InputError(
@@ -55,7 +55,7 @@ def store(folder: Path | str | None, index: int, block: Block) -> None:
         np.savez(stream, **block)  # type: ignore[arg-type]
 
 
-def _stored(folder: Path) -> list[Block]:
+def _read_blocks(folder: Path) -> list[Block]:
     """Read the blocks of a folder; raise if one is missing or incomplete."""
     found: list[Block] = []
     for file in sorted(folder.glob("block-*.npz")):

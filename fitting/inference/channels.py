@@ -131,10 +131,10 @@ class _Channels:
             else:
                 axes.append(0 if name in several else None)
 
-        def one(arguments: list[Any]) -> Any:
+        def predict_channel(arguments: list[Any]) -> Any:
             return predict(**dict(zip(asks, arguments, strict=True)))
 
-        return jax.vmap(one, in_axes=(axes,), out_axes=-1)([*given])
+        return jax.vmap(predict_channel, in_axes=(axes,), out_axes=-1)([*given])
 
 
 def _is_none(x: Any) -> bool:
@@ -177,7 +177,7 @@ def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
     """Compute starts of every channel from its data; a shared one is the median over channels."""
 
     def start(data: Any, inputs: Any) -> Mapping[str, Any]:
-        def one(data: Any, inputs: Any) -> Mapping[str, Any]:
+        def start_channel(data: Any, inputs: Any) -> Mapping[str, Any]:
             present = ~jnp.isnan(data)
             here = eqx.tree_at(
                 lambda p: (p.data, p.present, p.inputs),
@@ -187,7 +187,7 @@ def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
             )
             return start_of_data(here)
 
-        found = jax.vmap(one, in_axes=(-1, axes))(data, inputs)
+        found = jax.vmap(start_channel, in_axes=(-1, axes))(data, inputs)
         return {k: x if k in several else jnp.nanmedian(x, axis=0) for k, x in found.items()}
 
     return start

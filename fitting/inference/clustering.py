@@ -215,14 +215,14 @@ def _clustering(
     count = len(whitened)
     present = np.bincount(cluster) > 0
 
-    def summed(values: np.ndarray) -> np.ndarray:
+    def sum_by_cluster(values: np.ndarray) -> np.ndarray:
         return np.bincount(cluster, values)[present]
 
-    sums = np.stack([summed(row) for row in whitened], axis=-1)
+    sums = np.stack([sum_by_cluster(row) for row in whitened], axis=-1)
     products = np.empty((len(sums), count, count))
     for i in range(count):
         for j in range(i + 1):
-            products[:, i, j] = products[:, j, i] = summed(leverage[i] * leverage[j])
+            products[:, i, j] = products[:, j, i] = sum_by_cluster(leverage[i] * leverage[j])
     root = _power(from_data, 0.5)
     scale = root @ _power(products.sum(axis=0), -0.5)
     shares = scale @ products @ scale.T

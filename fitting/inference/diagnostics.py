@@ -79,7 +79,9 @@ def identifiability(
     errors = inflation / size
     relative = errors * _relative_slopes(space, vector)
     inflated = np.where(relative > KNOWN_WELL, inflation, 0.0)
-    return Identifiability(inflation, True, _confused(labels, directions[:, 0], inflated, relative))
+    return Identifiability(
+        inflation, True, _confused_parameters(labels, directions[:, 0], inflated, relative)
+    )
 
 
 def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:
@@ -96,7 +98,7 @@ def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
     return [name for name, share in zip(labels, direction, strict=True) if abs(share) > PARTNER]
 
 
-def _confused(
+def _confused_parameters(
     labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray, relative: np.ndarray
 ) -> tuple[str, ...]:
     if inflation.max() < REPORTED_VIF:

@@ -40,7 +40,7 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
     dtype = problem.data.dtype
     vector = jnp.asarray(optimum.vector, dtype)
     whole, missed, own, rounding = to_host(
-        _compared(vector, jnp.asarray(sizes, dtype), problem), dtype=np.float64
+        _compare_derivatives(vector, jnp.asarray(sizes, dtype), problem), dtype=np.float64
     ).T
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not flagged
         # smooth residuals: `missed` is a third of `own`, and no less than a sixtieth
@@ -51,16 +51,18 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
         return optimum
     names = [parameter.name for parameter in problem.space]
     unseen = {name: float(s) for name, s, is_so in zip(names, share, flagged, strict=True) if is_so}
-    return replace(_followed(problem, optimum, sizes), unseen=unseen)
+    return replace(_descend(problem, optimum, sizes), unseen=unseen)
 
 
-def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
+def _descend(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     """Return the lowest point of Gauss-Newton steps by differences and of steps along the axes."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
     for _ in range(STEPS):
-        of_data = _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
+        of_data = _second_differences(
+            jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem
+        )
         at, steepness, curvature = (to_host(x, dtype=np.float64)[None] for x in of_data)
         found = add_prior(vector[None], problem, (at, steepness, curvature))
         _, gradient, information = (x[0] for x in found)
@@ -78,7 +80,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
             break
         vector = tried[1 + lowest]
         sizes = REACH * _deviations(information)
-    information = _widened(problem, vector, cost, information)
+    information = _double_deviations(problem, vector, cost, information)
     fall = float(begun - cost)
     ends, depths = optimum.ends.copy(), optimum.costs + fall
     ends[best], depths[best] = vector, 0.0
@@ -94,7 +96,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     )
 
 
-def _widened(
+def _double_deviations(
     problem: Problem, vector: np.ndarray, cost: float, information: np.ndarray
 ) -> np.ndarray:
     """Return the information after doubling each standard deviation until the cost rises on both
@@ -126,7 +128,7 @@ def _deviations(information: np.ndarray) -> np.ndarray:
 
 
 @partial(compiled_briefly, always=False)
-def _compared(
+def _compare_derivatives(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> Float[Array, "parameters 4"]:
     """Compare the residuals' derivative with finite differences, for each parameter. Let D be the
@@ -153,18 +155,18 @@ def _compared(
 
 
 @partial(compiled_briefly, always=False)
-def _differenced(
+def _second_differences(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> tuple[Array, Array, Array]:
     """Compute the result of `squares` by central differences."""
 
     residuals = partial(least_squares_residuals, problem=problem)
 
-    def by(number: Array) -> Array:
+    def step(number: Array) -> Array:
         way = jnp.zeros_like(vector).at[number].set(sizes[number])
         return (residuals(vector + way) - residuals(vector - way)) / (2 * sizes[number])
 
-    here, jacobian = residuals(vector), jax.lax.map(by, jnp.arange(vector.size))
+    here, jacobian = residuals(vector), jax.lax.map(step, jnp.arange(vector.size))
     return here @ here / 2, jacobian @ here, jacobian @ jacobian.T
 
 

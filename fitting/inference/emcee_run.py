@@ -198,7 +198,7 @@ def run_ensemble(
         spread = np.linalg.cholesky(np.asarray(covariance, np.float64))
         standard = random.standard_normal((walkers, mode.size))
         state = emcee.State(mode + standard @ spread.T, random_state=random.get_state())
-        state.log_prob = _made_possible(evaluate, state.coords, mode)
+        state.log_prob = _move_to_support(evaluate, state.coords, mode)
     while (chain := _chain_if_done(blocks, options)) is None:
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
@@ -255,7 +255,7 @@ def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
     }
 
 
-def _made_possible(
+def _move_to_support(
     evaluate: Callable[[np.ndarray], np.ndarray], walkers: np.ndarray, mode: np.ndarray
 ) -> np.ndarray:
     """Return the log density of walkers, moved towards the mode where their density is zero."""

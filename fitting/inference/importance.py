@@ -229,12 +229,12 @@ def _along_a_ridge(
             values = evaluate_density(log_density, jnp.asarray(drawn, mode.dtype), args)
             own = np.where(np.isfinite(values), values, -np.inf) - log_proposal
             vectors, log_weight = np.concatenate([vectors, drawn]), np.append(log_weight, own)
-            weight, effective = _normalised(log_weight)
+            weight, effective = _normalise(log_weight)
             if effective > WANTED or effective < len(vectors) / HOPELESS:
                 break
         if effective < ENOUGH:
             continue
-        kept = _resampled(vectors, weight, seed)
+        kept = _resample(vectors, weight, seed)
         found = np.cov(kept.T)
         shifted = float((along.mode - centre)[index] / np.sqrt(found[index, index]))
         if abs(shifted) <= APART and effective < FOLLOWED * len(vectors):
@@ -254,7 +254,7 @@ def _along_a_ridge(
     return None
 
 
-def _normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+def _normalise(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
     """Weights with the sum 1, and the effective number of draws: 0 where no draw has a density."""
     highest = log_weight.max()
     if not np.isfinite(highest):
@@ -264,7 +264,7 @@ def _normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
     return weight, float(1 / np.sum(weight**2))
 
 
-def _resampled(vectors: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray:
+def _resample(vectors: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray:
     """Draws of equal weight."""
     places = (np.random.default_rng(seed).uniform() + np.arange(KEPT)) / KEPT
     return vectors[np.minimum(np.searchsorted(np.cumsum(weight), places), len(vectors) - 1)]
@@ -290,11 +290,11 @@ def _importance(
     for _ in range(ROUNDS):
         blocks, logs = [], []
         for block in np.split(units[:proposed], proposed // FEWEST):
-            found = _proposed(space, proposals, block)  # one size: one program
+            found = _propose(space, proposals, block)  # one size: one program
             values = evaluate_density(log_density, jnp.asarray(found.vectors, mode.dtype), args)
             logs.append(np.where(np.isfinite(values), values, -np.inf) - found.log_proposal)
             blocks.append(found)
-        weight, effective = _normalised(np.concatenate(logs))
+        weight, effective = _normalise(np.concatenate(logs))
         drawn = np.concatenate([found.vectors for found in blocks])
         if best is None or effective > best[2]:
             best = drawn, weight, effective
@@ -303,7 +303,7 @@ def _importance(
         share = min(1.0, effective / (10 * size))  # a few heavy draws determine a covariance poorly
         scaled = np.concatenate([found.scaled for found in blocks])
         proposals = [
-            _moved(proposal, places, weight, share)
+            _adapt_proposal(proposal, places, weight, share)
             for proposal, places in zip(proposals, (drawn, scaled), strict=False)
         ]
         settled = effective > SETTLED * proposed
@@ -312,7 +312,7 @@ def _importance(
     drawn, weight, effective = best
     if effective < ENOUGH:
         return None
-    return _resampled(drawn, weight, seed), effective
+    return _resample(drawn, weight, seed), effective
 
 
 Proposal = tuple[np.ndarray, np.ndarray]  # centre and covariance
@@ -346,7 +346,7 @@ def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> li
     ]
 
 
-def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
+def _propose(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
     """Draw from the mixture of proposals (Owen & Zhou, J. Am. Stat. Assoc. 95, 2000), each with a
     contiguous part of the Sobol sequence; every other point would fill only half of the space."""
     dtype = jnp.result_type(float)
@@ -381,7 +381,9 @@ def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np
     return -fall - np.sum(np.log(np.diagonal(root)))
 
 
-def _moved(proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float) -> Proposal:
+def _adapt_proposal(
+    proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float
+) -> Proposal:
     """Return a proposal with the mean of the weighted draws. Its covariance is a mixture of theirs,
     with weight `share`, and of the old one, because few draws determine a covariance poorly.
     """

@@ -366,7 +366,7 @@ def apply_joint_prior(
                 "problem; give both the same."
             )
         size = math.prod(shape)
-        each = _nested(own.marginals[begin : begin + size], shape)
+        each = _nested_tuples(own.marginals[begin : begin + size], shape)
         by_name[name] = replace(by_name[name], prior=each)
         begin += size
     return tuple(by_name.values()), own
@@ -391,13 +391,13 @@ def restrict(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
     )
 
 
-def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
+def _nested_tuples(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
     """Return an array's elements as nested tuples, which can be part of a compile key."""
     if not shape:
         return flat[0]
     size = math.prod(shape[1:])
     parts = (flat[i * size : (i + 1) * size] for i in range(shape[0]))
-    return tuple(_nested(part, shape[1:]) for part in parts)
+    return tuple(_nested_tuples(part, shape[1:]) for part in parts)
 
 
 def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:

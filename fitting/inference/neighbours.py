@@ -28,14 +28,14 @@ def regions(
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))
     alone = np.arange(count)
-    if len(present) < FEWEST or not _correlated(sums[present], places[present]):
+    if len(present) < FEWEST or not _are_correlated(sums[present], places[present]):
         return alone
     labels = np.zeros(count, int)
-    labels[present] = _halved(places[present], REGIONS)
+    labels[present] = _halve_regions(places[present], REGIONS)
     return labels
 
 
-def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
+def _are_correlated(sums: np.ndarray, places: np.ndarray) -> bool:
     """Return whether scores of neighbours are more similar than those of permuted positions."""
     centred = sums - sums.mean(axis=0)
     left, size, _ = np.linalg.svd(centred, full_matrices=False)
@@ -51,7 +51,7 @@ def _correlated(sums: np.ndarray, places: np.ndarray) -> bool:
     return bool((1 + beyond) / (1 + PERMUTATIONS) <= CHANCE)
 
 
-def _halved(places: np.ndarray, parts: int) -> np.ndarray:
+def _halve_regions(places: np.ndarray, parts: int) -> np.ndarray:
     """Return the region of each position, after repeated halving along the longest axis."""
     if parts == 1:
         return np.zeros(len(places), int)
@@ -60,5 +60,5 @@ def _halved(places: np.ndarray, parts: int) -> np.ndarray:
     second = np.argsort(np.argsort(along, kind="stable"), kind="stable") >= len(places) / 2
     labels = np.empty(len(places), int)
     for half, offset in ((~second, 0), (second, parts // 2)):
-        labels[half] = offset + _halved(places[half], parts // 2)
+        labels[half] = offset + _halve_regions(places[half], parts // 2)
     return labels

@@ -101,7 +101,7 @@ def _search(
 
     def step(state: _State) -> _State:
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
-        return _advanced(state, *local(state.proposal, args), digit=digit)
+        return _advance(state, *local(state.proposal, args), digit=digit)
 
     end = jax.lax.while_loop(
         lambda state: _is_unfinished(state, max_steps, tolerance), step, _initial_state(start)
@@ -139,7 +139,7 @@ def minimise_many(
             cost, gradient, information = derivatives(part.proposal)
             known = np.isfinite(cost) & np.isfinite(gradient).all(-1)
             known &= np.isfinite(information).all((-1, -2))
-            part = _advanced(part, np.where(known, cost, np.nan), gradient, information, **how)
+            part = _advance(part, np.where(known, cost, np.nan), gradient, information, **how)
         for whole, own in zip(jax.tree.leaves(state), jax.tree.leaves(part), strict=True):
             whole[active] = own
         active = _is_unfinished(state, max_steps, tolerance) & np.isfinite(state.cost)
@@ -188,7 +188,7 @@ def _initial_state(start: Any, damping: float = FIRST_DAMPING) -> _State:
     )
 
 
-def _advanced(
+def _advance(
     state: _State,
     cost: Any,
     gradient: Any,

@@ -157,7 +157,7 @@ def nuts(
         names = ("position", "log_density", "gradient", "adaptation")
         state = _State(*(jnp.asarray(blocks[-1][name]) for name in names))
     else:
-        state = _started(*density, starting, chains)
+        state = _draw_starts(*density, starting, chains)
         if not np.isfinite(to_host(state.log_density)).all():
             raise InputError(
                 "The density is impossible at the mode itself, so no chain can start; fit first."
@@ -190,7 +190,7 @@ def require_blackjax() -> ModuleType:
     return blackjax
 
 
-def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) -> Any:
+def _whiten(log_density: LogDensity, mode: Array, spread: Array, args: Any) -> Any:
     """Return the log density as a function of z; -inf where it is NaN."""
 
     def density(z: Array) -> Array:
@@ -201,11 +201,11 @@ def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) ->
 
 
 @eqx.filter_jit
-def _started(
+def _draw_starts(
     log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
 ) -> _State:
     """Draw starts from Laplace's Gaussian, moved towards the mode until the density is positive."""
-    density = _whitened(log_density, mode, spread, args)
+    density = _whiten(log_density, mode, spread, args)
     z = jax.random.normal(key, (chains, mode.size), mode.dtype)
     nearer = jnp.asarray(FACTORS, mode.dtype)[:, None, None] * z[None]
     possible = jnp.isfinite(jax.vmap(jax.vmap(density))(nearer))
@@ -240,7 +240,7 @@ def _advance(
     from blackjax.mcmc.hmc import HMCState
 
     kernel = require_blackjax().nuts.build_kernel()
-    density = _whitened(log_density, mode, spread, args)
+    density = _whiten(log_density, mode, spread, args)
     round_metric = jnp.ones_like(mode)
     _, update, _ = _adaptation(acceptance)
     chains = len(state.log_density)

@@ -44,14 +44,14 @@ LEAST_PRIOR = 1e-9  # probability within the bounds, below which prior and bound
 FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # probabilities whose quantiles give the spread
 
 
-def _frozen(value: Any) -> Any:
+def _nested_tuples(value: Any) -> Any:
     """Return numbers as nested tuples, which can be part of a compile key."""
     if value is None:
         return None
     value = plain_numbers("a number of a Parameter", value)
     if value.ndim == 0:
         return float(value)
-    return tuple(_frozen(part) for part in np.asarray(value))
+    return tuple(_nested_tuples(part) for part in np.asarray(value))
 
 
 class Parameter(eqx.Module):
@@ -94,11 +94,11 @@ class Parameter(eqx.Module):
     symbol: str = eqx.field(static=True, kw_only=True, default="")
     unit: str = eqx.field(static=True, kw_only=True, default="1")
     transform: Transform = eqx.field(static=True, kw_only=True, default="identity")
-    lower: Bound = eqx.field(static=True, kw_only=True, default=-np.inf, converter=_frozen)
-    upper: Bound = eqx.field(static=True, kw_only=True, default=np.inf, converter=_frozen)
+    lower: Bound = eqx.field(static=True, kw_only=True, default=-np.inf, converter=_nested_tuples)
+    upper: Bound = eqx.field(static=True, kw_only=True, default=np.inf, converter=_nested_tuples)
     prior: Any = eqx.field(static=True, kw_only=True, default=None)
     shape: tuple[int, ...] | None = eqx.field(static=True, kw_only=True, default=None)
-    start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_frozen)
+    start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_nested_tuples)
     linear: bool = eqx.field(static=True, kw_only=True, default=False)
 
     def __check_init__(self) -> None:
@@ -313,7 +313,7 @@ def unconstrained_numbers(
 def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]:
     """Return x' and x'' / x', derivatives with respect to the unconstrained values, (..., P)."""
 
-    def both(parameter: Parameter, u: Any) -> tuple[Any, Any]:
+    def slope_and_bend(parameter: Parameter, u: Any) -> tuple[Any, Any]:
         xp, (a, b) = numpy_or_jax(u), scaled_ends(parameter)
         log_slope, bend = _log_slope(u, a, b), _bend(u, a, b)
         slope = xp.ones_like(u) if log_slope is None else xp.exp(log_slope)
@@ -322,7 +322,7 @@ def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]
         return slope, bend
 
     slopes, bends = (
-        _map_kinds(space, unconstrained, lambda parameter, u, i=i: both(parameter, u)[i])
+        _map_kinds(space, unconstrained, lambda parameter, u, i=i: slope_and_bend(parameter, u)[i])
         for i in (0, 1)
     )
     return slopes, bends

@@ -78,7 +78,7 @@ def fit_side_by_side(
     """Return the modes of problems that differ in data and `own` inputs (None: shared)."""
     leaves, form = jax.tree.flatten(problem.inputs)
 
-    def one(data: Array, own: list[Any]) -> Ends:
+    def fit_pixel(data: Array, own: list[Any]) -> Ends:
         present = ~jnp.isnan(data)
         every = [whole if mine is None else mine for mine, whole in zip(own, leaves, strict=True)]
         here = eqx.tree_at(
@@ -96,7 +96,7 @@ def fit_side_by_side(
             begin = jax.vmap(lambda start: complete(start[others], by_squares))(begin)
         return _fit_pixels(begin, here, max_steps, chance)
 
-    return jax.vmap(one)(data, own)
+    return jax.vmap(fit_pixel)(data, own)
 
 
 def _fit_pixels(starts: Array, problem: Problem, max_steps: Array, chance: Array) -> Ends:

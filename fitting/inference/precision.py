@@ -19,7 +19,7 @@ def double_precision(function: Callable[P, T]) -> Callable[P, T]:
     placed = len(parameters) - len(by_name)
 
     @wraps(function)
-    def done(*args: P.args, **kwargs: P.kwargs) -> T:
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
         if by_name and len(args) > placed:
             given = zip(by_name, args[placed:], strict=False)
             named = ", ".join(f"{name}={value!r:.60}" for name, value in given)
@@ -37,4 +37,4 @@ def double_precision(function: Callable[P, T]) -> Callable[P, T]:
         with jax.enable_x64(True):
             return function(*args, **kwargs)
 
-    return done
+    return run

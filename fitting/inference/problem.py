@@ -202,7 +202,7 @@ class Problem(eqx.Module):
         Returns:
             The problem.
         """
-        return self._replaced(data=data, **({} if inputs is None else {"inputs": inputs}))
+        return self._replace(data=data, **({} if inputs is None else {"inputs": inputs}))
 
     def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
         """Return the same problem with other records.
@@ -214,7 +214,7 @@ class Problem(eqx.Module):
         Returns:
             The problem.
         """
-        return self._replaced(records=records, left_out=left_out)
+        return self._replace(records=records, left_out=left_out)
 
     def without(self, name: str) -> "Problem":
         """Return the same problem without a candidate. The candidate's parameter is fixed at its
@@ -238,7 +238,7 @@ class Problem(eqx.Module):
                     f"without: {other.name} requires {name}; leave {other.name} out first."
                 )
         one = known[name]
-        return self._replaced({name: np.full(_shape(one.parameter), one.absent)})
+        return self._replace({name: np.full(_shape(one.parameter), one.absent)})
 
     def with_priors(self, change: Callable[[Any], Any]) -> "Problem":
         """Return the same problem with other priors.
@@ -250,19 +250,19 @@ class Problem(eqx.Module):
             The problem.
         """
 
-        def changed(prior: Any) -> Any:
-            return tuple(map(changed, prior)) if isinstance(prior, tuple) else change(prior)
+        def change_all(prior: Any) -> Any:
+            return tuple(map(change_all, prior)) if isinstance(prior, tuple) else change(prior)
 
-        free = {p.name: replace(p, prior=p.prior and changed(p.prior)) for p in self.free}
+        free = {p.name: replace(p, prior=p.prior and change_all(p.prior)) for p in self.free}
         every: dict[str, Any] = free | {
             one.name: replace(one, parameter=free[one.name]) for one in self.candidates
         }
         joint = self.prior
         if joint is not None:
-            joint = replace(joint, marginals=changed(joint.marginals))
-        return self._replaced(every, prior=joint)
+            joint = replace(joint, marginals=change_all(joint.marginals))
+        return self._replace(every, prior=joint)
 
-    def _replaced(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
+    def _replace(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
         present = True if self.present is None else to_host(self.present)
         given = {
             "data": np.where(present, to_host(self.data), np.nan),
@@ -359,10 +359,10 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
     """Call a function with those values, inputs and records that its arguments name."""
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
     who = "predict" if function is problem.predict else "The function"
-    return _called(function, known, who)
+    return _call(function, known, who)
 
 
-def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
+def _call(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
     """Call a function with its named arguments; say why if JAX cannot trace it."""
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
@@ -391,7 +391,7 @@ def start_of_data(problem: Problem) -> Values:
     if problem.present is not None:
         data = jnp.where(problem.present, data, jnp.nan)
     known = {"inputs": problem.inputs, **problem.records, "data": data}
-    found = _called(problem.start, known, "start")
+    found = _call(problem.start, known, "start")
     if not isinstance(found, Mapping):
         raise InputError(
             f"start gives a {type(found).__name__}: return natural values by name, such as "

@@ -104,15 +104,15 @@ def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[st
             raise InputError(
                 f"{path}: shape {jnp.shape(value)} does not fit, the record's is {there}."
             )
-        new[name] = _replaced(new[name], _steps(path), jnp.broadcast_to(value, there))
+        new[name] = _replace(new[name], _steps(path), jnp.broadcast_to(value, there))
     return new
 
 
-def _replaced(record: Any, steps: list[Step], value: Array) -> Any:
+def _replace(record: Any, steps: list[Step], value: Array) -> Any:
     if not steps:
         return value
     if _is_number(record):
         return jnp.asarray(record).at[tuple(steps)].set(value)
     step = steps[0]
-    inner = _replaced(_inside(record)[step], steps[1:], value)
+    inner = _replace(_inside(record)[step], steps[1:], value)
     return eqx.tree_at(lambda record: _inside(record)[step], record, inner)

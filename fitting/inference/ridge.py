@@ -111,7 +111,7 @@ def ridge(
     step = covariance[index] / np.sqrt(covariance[index, index])
     low, high = -FIRST_END, FIRST_END
 
-    def held(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cost, gradient, curvature = local(vectors)
         gradient, curvature = gradient.copy(), curvature.copy()
         gradient[:, index] = curvature[:, index] = curvature[:, :, index] = 0
@@ -120,7 +120,7 @@ def ridge(
 
     for _ in range(ROUNDS):
         steps = np.linspace(low, high, POINTS)
-        found = minimise_many(held, mode + steps[:, None] * step, digit=digit, careful=True)
+        found = minimise_many(evaluate, mode + steps[:, None] * step, digit=digit, careful=True)
         information = found.information[:, others[:, None], others]
         with np.errstate(all="ignore"):
             signs, logs = np.linalg.slogdet(information)
@@ -163,9 +163,9 @@ def proposed(
     stretch = np.sqrt(FREEDOM / chdtri(FREEDOM, units[:, -2]))
     normal = ndtri(np.clip(units[:, 1:-2], 1e-12, 1 - 1e-12))
     normal = normal * np.where(units[:, -1] < 0.5, stretch, 1)[:, None]
-    root = _between(along.roots, cell, share)
+    root = _interpolate(along.roots, cell, share)
     others = np.delete(np.arange(size + 1), along.index)
-    vectors = _between(along.centres, cell, share)
+    vectors = _interpolate(along.centres, cell, share)
     vectors[:, along.index] = place
     vectors[:, others] += np.einsum("nij,nj->ni", root, normal)
     squares = np.sum(normal**2, axis=1)
@@ -177,7 +177,7 @@ def proposed(
     return vectors, log_density + np.logaddexp(gaussian, student) - volume
 
 
-def _between(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _interpolate(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Values of a table between its places."""
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     return (1 - share) * values[cell] + share * values[cell + 1]

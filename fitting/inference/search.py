@@ -132,7 +132,7 @@ class Optimum:
     @property
     def saddle(self) -> bool:
         """Return whether the log density increases to both sides along some direction."""
-        return bool(_scaled(self.information)[0][0] < -UNDETERMINED)
+        return bool(_scaled_eigensystem(self.information)[0][0] < -UNDETERMINED)
 
     @property
     def curvature(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -140,12 +140,12 @@ class Optimum:
         exist."""
         if not self.saddle:
             return self.information
-        values, axes, size = _scaled(self.information)
+        values, axes, size = _scaled_eigensystem(self.information)
         half = size[:, None] * axes * np.sqrt(np.abs(values))
         return half @ half.T
 
 
-def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _scaled_eigensystem(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return eigenvalues, eigenvectors and scales of a scaled symmetric matrix."""
     information = np.nan_to_num(information)
     size = np.sqrt(np.linalg.norm(information, axis=1))
@@ -392,7 +392,7 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
     if squares and others.size:
         starts, mean, weight = starts[:, others], mean[others], weight[others]
 
-    def one(start: Array) -> Array:
+    def search(start: Array) -> Array:
         if squares:
             args = (problem, mean, weight)
             how: Any = (_penalised_residuals, solver, start, args)
@@ -402,7 +402,7 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 
-    return jax.lax.map(one, starts, batch_size=searches_at_once(starts))
+    return jax.lax.map(search, starts, batch_size=searches_at_once(starts))
 
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
@@ -467,7 +467,7 @@ def _levenberg_marquardt(
         first = jnp.asarray(starts[0], jnp.result_type(float))
         require_linear(first, problem)
         if not others.size:
-            end = to_host(_completed(first[None], problem), dtype=np.float64)
+            end = to_host(_complete_all(first[None], problem), dtype=np.float64)
             return np.tile(end, (len(starts), 1)), np.zeros(len(starts))
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -484,7 +484,7 @@ def _levenberg_marquardt(
     found = minimise_many(local, starts, max_steps=STEPS, careful=True, progress=progress, **how)
     if not closed:
         return found.vector, found.cost
-    ends = _completed(jnp.asarray(found.vector, jnp.result_type(float)), problem)
+    ends = _complete_all(jnp.asarray(found.vector, jnp.result_type(float)), problem)
     return to_host(ends, dtype=np.float64), found.cost
 
 
@@ -522,7 +522,7 @@ def _nonlinear(problem: Problem) -> np.ndarray:
 
 
 @compiled_briefly
-def _completed(vectors: Array, problem: Problem) -> Array:
+def _complete_all(vectors: Array, problem: Problem) -> Array:
     return jax.lax.map(lambda vector: complete(vector, problem), vectors)
 
 
@@ -604,12 +604,12 @@ def _derivatives_at(
     count = vectors.shape[1]
     nothing = tuple(jnp.zeros((count,) * axes, vectors.dtype) for axes in (0, 1, 2))
 
-    def one(pair: tuple[Array, Array]) -> Derivatives:
+    def derivatives(pair: tuple[Array, Array]) -> Derivatives:
         vector, asked = pair
         return jax.lax.cond(asked, lambda v: local(v, problem), lambda _: nothing, vector)
 
     together = None if targets_cpu() else len(vectors)
-    return jax.lax.map(one, (vectors, wanted), batch_size=together)
+    return jax.lax.map(derivatives, (vectors, wanted), batch_size=together)
 
 
 @partial(compiled_briefly, always=False)

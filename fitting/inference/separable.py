@@ -88,7 +88,7 @@ def amplitudes(
     if not any(signed):
         return _solve_scaled(gram, moment)[0]
     if sum(signed) > MOST_SIGNED:
-        support = _descended(*jax.lax.stop_gradient((gram, moment)), np.array(signed))
+        support = _descend_coordinates(*jax.lax.stop_gradient((gram, moment)), np.array(signed))
         found, _ = _support_optimum(support, gram, moment)
         return jnp.where(np.array(signed), jnp.maximum(found, 0), found)
     return _best_support(gram, moment, signed)[0]
@@ -106,7 +106,7 @@ def _best_support(gram: Array, moment: Array, signed: tuple[bool, ...]) -> tuple
     return jnp.where(known, found[best], 0), jnp.where(known, fall[best], 0)
 
 
-def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
+def _descend_coordinates(gram: Array, moment: Array, signed: np.ndarray) -> Array:
     """Return the support that some sweeps of coordinate descent find."""
     own = jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1)
 
@@ -169,12 +169,12 @@ def fit_separable(
     """
     knots = first_knots(lower, upper)
     table = columns(knots.astype(values.dtype)) if coarse is None else coarse
-    amplitudes, cost = _projected(table, fixed, values, weights)
+    amplitudes, cost = _project(table, fixed, values, weights)
     shrunk = ZOOMS * np.log((KNOTS - 1) / 2) / np.log((finer - 1) / 2)
     for _ in range(int(np.ceil(shrunk))):
         best = int(np.argmin(cost))
         knots = np.linspace(knots[max(best - 1, 0)], knots[min(best + 1, len(knots) - 1)], finer)
-        amplitudes, cost = _projected(columns(knots.astype(values.dtype)), fixed, values, weights)
+        amplitudes, cost = _project(columns(knots.astype(values.dtype)), fixed, values, weights)
     best = int(np.argmin(cost))
     return SeparableFit(amplitudes[best], float(knots[best]), float(cost[best]))
 
@@ -191,11 +191,11 @@ def fit_amplitudes(
 ) -> SeparableFit:
     """Fit the fixed columns alone: the searched amplitude is 0, t is NaN."""
     nothing = np.zeros((1, fixed.shape[1]), values.dtype)
-    amplitudes, cost = _projected(nothing, fixed, values, weights)
+    amplitudes, cost = _project(nothing, fixed, values, weights)
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
 
 
-def _projected(
+def _project(
     columns: Float[Any, "knots observations"],
     fixed: Float[Any, "fixed observations"],
     values: Float[Any, "observations bands"],

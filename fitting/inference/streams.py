@@ -112,20 +112,24 @@ def open_stream(
         _check(piece, kept)
         check_data(likelihood, piece.data)
         count += len(piece.data)
-        mark = None if mark is None else _marked(mark, piece)
+        mark = None if mark is None else _update_checksum(mark, piece)
         own = rng.random(len(piece.data))
         chosen = own < (keys.max() if len(keys) == size else 1)
         some = _take_rows(piece, np.flatnonzero(chosen))
-        kept, keys = _joined(kept, some), np.concatenate([keys, own[chosen]])
+        kept, keys = _add(kept, some), np.concatenate([keys, own[chosen]])
         if len(keys) > size:
             lowest = np.sort(np.argpartition(keys, size)[:size])
             kept, keys = _take_rows(kept, lowest), keys[lowest]
     if kept is None or not count:
         raise InputError("data: there are none to read.")
-    filled, there = _filled(kept, size)
+    filled, there = _pad(kept, size)
     blank = there.reshape(-1, *[1] * (filled.data.ndim - 1))
     sample = np.where(blank, filled.data, np.nan)
-    return replace(stream, count=count, mark=mark), sample, *_placed(stream, stream.beside, filled)
+    return (
+        replace(stream, count=count, mark=mark),
+        sample,
+        *_insert_rows(stream, stream.beside, filled),
+    )
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
@@ -137,11 +141,11 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
     done, whole, mark = 0, -(-stream.count // stream.size), 0
     for rows, there in _chunks(stream):
         if stream.mark is not None:
-            mark = _marked(mark, rows if there.all() else _take_rows(rows, there))
+            mark = _update_checksum(mark, rows if there.all() else _take_rows(rows, there))
         known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
         beside = jax.tree.map(
             lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
-            _placed(stream, (problem.inputs, problem.likelihood), rows),
+            _insert_rows(stream, (problem.inputs, problem.likelihood), rows),
         )
         yield eqx.tree_at(
             lambda p: (p.data, p.present, p.inputs, p.likelihood),
@@ -186,7 +190,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
     """Yield the pieces of the data in order, from a reading that has begun or a new one."""
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
-        own = _chosen(stream, stream.beside)
+        own = _rowwise_arrays(stream, stream.beside)
         for begin in range(0, len(data), stream.size):
             part = slice(begin, begin + stream.size)
             beside = tuple(
@@ -201,12 +205,12 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         _check_inputs(stream, beside, len(rows) if rows.ndim else 0)
         own = (
             widen_integers(plain_array("inputs", np.asarray(leaf)))
-            for leaf in _chosen(stream, beside)
+            for leaf in _rowwise_arrays(stream, beside)
         )
         yield Rows(rows, tuple(own))
 
 
-def _marked(mark: int, rows: Rows) -> int:
+def _update_checksum(mark: int, rows: Rows) -> int:
     """Add some rows to a checksum, which is the sum of the bits of all numbers modulo 2^64."""
     for leaf in (rows.data, *rows.own):
         bits = np.ascontiguousarray(leaf).view(f"u{min(leaf.itemsize, 8)}")
@@ -235,14 +239,14 @@ def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
     rest = None
     every = np.ones(stream.size, bool)
     for piece in _pieces(stream):
-        rows = _joined(rest, piece)
+        rows = _add(rest, piece)
         begin = 0
         while len(rows.data) - begin >= stream.size:
             yield _take_rows(rows, slice(begin, begin + stream.size)), every
             begin += stream.size
         rest = _take_rows(rows, slice(begin, None)) if begin < len(rows.data) else None
     if rest is not None:
-        yield _filled(rest, stream.size)
+        yield _pad(rest, stream.size)
 
 
 def _check(piece: Rows, first: Rows | None) -> None:
@@ -256,13 +260,13 @@ def _check(piece: Rows, first: Rows | None) -> None:
         raise InputError("Some of the data are infinite: mark missing ones by NaN.")
 
 
-def _chosen(stream: Stream, beside: tuple[Any, Any]) -> tuple[Any, ...]:
+def _rowwise_arrays(stream: Stream, beside: tuple[Any, Any]) -> tuple[Any, ...]:
     """Return the arrays of inputs and likelihood that have one row for each row of data."""
     leaves = jax.tree.leaves(beside)
     return tuple(leaf for leaf, own in zip(leaves, stream.by_row, strict=True) if own)
 
 
-def _placed(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, Any]:
+def _insert_rows(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, Any]:
     """Return inputs and likelihood with the arrays that belong to these rows."""
     leaves, form = jax.tree.flatten(beside)
     own = iter(rows.own)
@@ -276,7 +280,7 @@ def _take_rows(rows: Rows, index: Any) -> Rows:
     return Rows(rows.data[index], tuple(leaf[index] for leaf in rows.own))
 
 
-def _joined(first: Rows | None, second: Rows) -> Rows:
+def _add(first: Rows | None, second: Rows) -> Rows:
     if first is None:
         return second
     return Rows(
@@ -285,7 +289,7 @@ def _joined(first: Rows | None, second: Rows) -> Rows:
     )
 
 
-def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
+def _pad(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
     """Pad rows to a size, with a mask that is false for padding."""
     place = np.arange(size)
     return _take_rows(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)

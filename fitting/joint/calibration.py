@@ -105,21 +105,23 @@ def calibrate(
     channels = len(observation.channels)
     brightest = int(np.argmax(observation.dn.mean(axis=(1, 2))))
     if not fit_gamma:
-        observation, fit_gamma = _encoded(observation, brightest, Form(model, index=index))
+        observation, fit_gamma = _decode_photographs(
+            observation, brightest, Form(model, index=index)
+        )
     form = Form(model, free_gamma=fit_gamma, index=index)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 
-    def done(steps: int) -> None:
+    def report_steps(steps: int) -> None:
         if progress is not None:
             progress(len(STEPS) * len(fits) + steps, len(STEPS) * channels)
 
-    done(0)
+    report_steps(0)
     first = fit_turned(observation, brightest, form)
-    observation, as_areas = _recognised(observation, brightest, first), observation
+    observation, as_areas = _recognise_pixel_means(observation, brightest, first), observation
     for channel in range(channels):
         known = channel == brightest and observation is as_areas
         fit = first if known else fit_turned(observation, channel, form)
-        done(1)
+        report_steps(1)
         if is_determined(fit):
             shown = image_sandwich(observation, fit)
             if shown is not None:
@@ -128,14 +130,16 @@ def calibrate(
                 ):
                     halves[fit.channel], shown = apart, widened(shown, apart)
                 robusts[fit.channel] = shown
-            done(2)
+            report_steps(2)
             posteriors[fit.channel] = _posterior(fit, shown, sampling, seed)
         fits.append(fit)
-        done(0)
+        report_steps(0)
     return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
 
 
-def _encoded(observation: Photographs, channel: int, form: Form) -> tuple[Photographs, bool]:
+def _decode_photographs(
+    observation: Photographs, channel: int, form: Form
+) -> tuple[Photographs, bool]:
     """Return the photographs, decoded if they are in sRGB, and whether to fit an exponent, by
     least-squares fits of one channel. Another curve is refused: black level and exponent would
     describe it with a biased surface.
@@ -154,7 +158,7 @@ def _encoded(observation: Photographs, channel: int, form: Form) -> tuple[Photog
     return observation, trial.form.free_gamma
 
 
-def _recognised(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
+def _recognise_pixel_means(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
     """Test, with the highlights of a fitted channel, whether a pixel's digital number is the mean
     over its area or the value at its centre. Return the photographs, with pixels as points if the
     values are those at centres.

@@ -105,10 +105,10 @@ def make_grid(
         _, usable = pixels_at(observation, channel, int(light), reference, form)
         at = local_geometry(observation.normals, observation.wi[light], ones)
         shading = np.asarray(unit_lobe(form, reference[shape_of(form.model).name], at))
-        split[i] = [_uneven(level, usable, shading) for level in levels[:-1]]
+        split[i] = [_uneven_pixels(level, usable, shading) for level in levels[:-1]]
     if shared:
         split[:] = split.any(axis=0)
-    cell = np.stack([_divided(levels, of_image) for of_image in split])
+    cell = np.stack([_divide(levels, of_image) for of_image in split])
     most = int(cell.max()) + 1
     step = 2 ** max(0, most.bit_length() - SIZES.bit_length())
     most = -(-most // step) * step
@@ -139,7 +139,7 @@ def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
     return found
 
 
-def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
+def _uneven_pixels(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
     """Return a mask of the pixels whose cell is only partly used or is crossed by a highlight."""
     count = np.bincount(cell)
     part = np.bincount(cell, usable)
@@ -149,7 +149,7 @@ def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.nda
     return ((part > 0) & ((part < count) | (high - low > FLAT * shading.max())))[cell]
 
 
-def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
+def _divide(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
     """Return the cells of the pixels in one image: for each pixel the widest cell that needs no
     division.
     """

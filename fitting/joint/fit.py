@@ -113,7 +113,7 @@ def fit_channel(
 
     If no highlight is significant, Lambert's model is fitted. Too few lit cells raise `InputError`.
     """
-    grid, data, start = _prepared(observation, channel, form)
+    grid, data, start = _prepare(observation, channel, form)
     if about is not None:
         grid = replace(grid, geometry=replace(grid.geometry, about=jnp.asarray(about)))
         data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
@@ -157,7 +157,7 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
 # ---------------------------------------------------------------- start
 
 
-def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
+def _prepare(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
     """Return the cells of one channel about a first model, and the unconstrained values of that
     model.
     """

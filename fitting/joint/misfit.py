@@ -195,7 +195,7 @@ def _image_scores(
     def bend(moved: Array) -> Array:
         return jax.jvp(slope, (alike,), (moved,))[1]
 
-    def of_image(image: Array) -> Array:
+    def image_information(image: Array) -> Array:
         nothing = jnp.zeros_like(alike)
         return jax.vmap(lambda unit: bend(nothing.at[image].set(unit))[image])(units)
 
@@ -203,7 +203,7 @@ def _image_scores(
         every = jax.lax.map(lambda unit: bend(jnp.broadcast_to(unit, alike.shape)), units)
         information = jnp.swapaxes(every, 0, 1)
     else:
-        information = jax.lax.map(of_image, jnp.arange(count))
+        information = jax.lax.map(image_information, jnp.arange(count))
     return -slope(alike), information
 
 

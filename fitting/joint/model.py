@@ -323,7 +323,9 @@ def log_likelihood_by_image(
     about = data.cells.geometry.about
     cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)
 
-    def of(vector: Array, image: tuple[Cells, dict[str, Array], Array | None]) -> Prediction:
+    def predict_image(
+        vector: Array, image: tuple[Cells, dict[str, Array], Array | None]
+    ) -> Prediction:
         own, relative, turns = jax.tree.map(lambda x: x[None], image)
         if turns is not None:
             own = replace(own, geometry=replace(own.geometry, about=turns.T))
@@ -331,7 +333,7 @@ def log_likelihood_by_image(
         return jax.tree.map(lambda x: x[0], predicted(values_at(vector, alone), alone, own))
 
     images = cells, data.relative, None if about is None else about.T
-    return _log_likelihood(jax.vmap(of)(vectors, images), data)
+    return _log_likelihood(jax.vmap(predict_image)(vectors, images), data)
 
 
 def _log_likelihood(model: Prediction, data: JointData) -> Array:

@@ -266,7 +266,7 @@ def _locate_by_highlights(
             )
     by_outline = np.stack(
         [
-            _slope(lambda step, b=b, i=i: places(_moved(values, (b, i), step), spots))
+            _slope(lambda step, b=b, i=i: places(_move_ball(values, (b, i), step), spots))
             for b in range(len(balls))
             for i in range(3)
         ],
@@ -277,7 +277,7 @@ def _locate_by_highlights(
     for b, of_ball in enumerate(seen):
         for axis in (0, 1):
             slope = _slope(
-                lambda h, b=b, a=axis: places(values, _moved(spots, (b, slice(None), a), h))
+                lambda h, b=b, a=axis: places(values, _move_ball(spots, (b, slice(None), a), h))
             )
             slope = slope * np.sqrt(np.mean([one.sd**2 for one in of_ball]))  # pooled over lights
             own += slope[:, :, None] * slope[:, None, :]
@@ -335,7 +335,7 @@ def _add_covariances(
     )
 
 
-def _moved(values: np.ndarray, at: tuple, step: float) -> np.ndarray:
+def _move_ball(values: np.ndarray, at: tuple, step: float) -> np.ndarray:
     moved = values.copy()
     moved[at] += step
     return moved

@@ -78,7 +78,7 @@ def _fit_area_changes(
     size = (LARGEST_LAG + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
-    def missed(vector: Array) -> Array:
+    def residuals(vector: Array) -> Array:
         a = jnp.concatenate([own[None], vector[:size]]).reshape(LARGEST_LAG + 1, LARGEST_LAG + 1)
         expected = flat_covariances(a, mu)
         if mixing:
@@ -91,8 +91,8 @@ def _fit_area_changes(
     vector = jnp.zeros(unit.size)
     slopes = jnp.zeros((1, 1))
     for _ in range(STEPS):
-        slopes = jax.jacfwd(lambda v: missed(v * unit))(vector / unit)
-        vector = vector - unit * jnp.linalg.lstsq(slopes, missed(vector))[0]
+        slopes = jax.jacfwd(lambda v: residuals(v * unit))(vector / unit)
+        vector = vector - unit * jnp.linalg.lstsq(slopes, residuals(vector))[0]
     errors = unit * jnp.sqrt(jnp.diagonal(jnp.linalg.inv(slopes.T @ slopes)))
     values = jnp.concatenate([own[None], vector[:size]]).reshape(LARGEST_LAG + 1, LARGEST_LAG + 1)
     return values, jnp.concatenate([jnp.zeros(1), errors[:size]]).reshape(values.shape)

@@ -249,7 +249,7 @@ def doubts(
     found = (
         _fading(measurement, darks),
         multiplied(measurement, flats, darks),
-        _averaged(measurement),
+        _find_averaging(measurement),
         _two_gains(measurement, flats) or _two_modes(measurement, darks),
     )
     return tuple(one for one in found if one is not None)
@@ -298,7 +298,7 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]])
     )
 
 
-def _averaged(measurement: PhotonTransfer) -> Doubt | None:
+def _find_averaging(measurement: PhotonTransfer) -> Doubt | None:
     """Return a doubt if only the flats, or only the darks, have fractional values."""
     bright, dark = (levels.converter.step for levels in (measurement.bright, measurement.dark))
     if bright == dark:

@@ -257,8 +257,8 @@ def evaluate(
     slopes = jax.jacrev(lambda stats: figures(stats, measurement, within))(stats)
 
     def standard_error(slope: Statistics) -> Array:
-        total = _propagated(slope.bright_mean, slope.bright_variance, bright)
-        total = total + _propagated(slope.dark_mean, slope.dark_variance, dark)
+        total = _propagate(slope.bright_mean, slope.bright_variance, bright)
+        total = total + _propagate(slope.dark_mean, slope.dark_variance, dark)
         if within.saturation_width is not None and slope.saturation is not None:
             # The true maximum lies between the neighbours: triangular over their distance.
             total = total + slope.saturation**2 * within.saturation_width**2 / 24
@@ -276,7 +276,7 @@ def _shot_variance(stats: Statistics, measurement: PhotonTransfer) -> Array:
     return stats.bright_variance - stats.dark_variance[measurement.dark_of]
 
 
-def _propagated(mean_slope: Array, variance_slope: Array, errors: SamplingErrors) -> Array:
+def _propagate(mean_slope: Array, variance_slope: Array, errors: SamplingErrors) -> Array:
     return jnp.sum(
         mean_slope**2 * errors.mean
         + 2 * mean_slope * variance_slope * errors.both
@@ -302,7 +302,7 @@ def _sampling(
         unlikely = surprise(chi2, degrees) < UNLIKELY
         return jnp.where(unlikely, jnp.maximum(chi2 / jnp.maximum(degrees, 1), 1), 1)
 
-    def widened(errors: SamplingErrors, of_mean: Array, of_variance: Array) -> SamplingErrors:
+    def scale_errors(errors: SamplingErrors, of_mean: Array, of_variance: Array) -> SamplingErrors:
         return SamplingErrors(of_mean * errors.mean, of_variance * errors.variance, errors.both)
 
     exposure, of_dark = measurement.dark.exposure, 2 * [jnp.ones_like(gain)]
@@ -311,7 +311,7 @@ def _sampling(
             factor(*line_misfit(exposure, stats.dark_mean, dark.mean)),
             factor(*line_misfit(exposure, stats.dark_variance, dark.variance)),
         ]
-    dark = widened(dark, *of_dark)
+    dark = scale_errors(dark, *of_dark)
     own_dark = jax.tree.map(lambda error: error[measurement.dark_of], dark)
     signal, used = _signal(stats, measurement), within.sensitivity
     degrees = jnp.sum(used, dtype=gain.dtype) - 1
@@ -322,4 +322,4 @@ def _sampling(
     spread = bright.variance + own_dark.variance + gain**2 * (bright.mean + own_dark.mean)
     of_variance = factor(chi_square(missed, spread - 2 * gain * bright.both, used), degrees)
     factors = jnp.stack([*of_dark, of_mean, of_variance])
-    return widened(bright, of_mean, of_variance), dark, factors
+    return scale_errors(bright, of_mean, of_variance), dark, factors

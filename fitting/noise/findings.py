@@ -121,7 +121,7 @@ def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
     return format_with_error(*(scale * x for x in _value_and_error(calibration, name)))
 
 
-def _contradicted(calibration: NoiseCalibration) -> tuple[str, ...]:
+def _contradictions(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Return sentences on numbers stated in the rig that differ from the estimates by more than
     both errors explain."""
     sentences = []
@@ -394,7 +394,7 @@ def _misfit(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
     return {"ratio": ratio, "p": format_p(chosen.p_value), "factor": factor}
 
 
-def _counted(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
+def _histogram_numbers(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding on histograms of codes that replaced means and variances
     or, with `failed`, on histograms whose fit failed. Return None if the finding does not apply."""
     counted = calibration.counted
@@ -431,7 +431,7 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
     return {"levels": f"{count} level{'s' * (count > 1)}"}
 
 
-def _floored(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
+def _dark_variance_floor(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
     """Return the standard's minimum of the dark variance if the dark variance, extrapolated to zero
     exposure, is below that minimum; else None. With `bent`, the finding is for series in which each
     single dark is above the minimum. Without `bent`, it is for all other series."""
@@ -461,7 +461,7 @@ def _saturation(calibration: NoiseCalibration) -> Numbers | None:
     }
 
 
-def _unsaturated(calibration: NoiseCalibration) -> Numbers | None:
+def _highest_unsaturated(calibration: NoiseCalibration) -> Numbers | None:
     if _knee(calibration) or _saturation(calibration):
         return None
     left_out = calibration.measurement.bright.left_out
@@ -831,12 +831,12 @@ FINDINGS = (
     ),
     Finding(
         "codes not used",
-        partial(_counted, True),
+        partial(_histogram_numbers, True),
         _CODES + "it was fitted, but {why} Means and variances were used.",
     ),
     Finding(
         "codes",
-        partial(_counted, False),
+        partial(_histogram_numbers, False),
         _CODES + "for {count} of {low:.2g} to {high:.2g} electrons it was fitted in their place "
         "({numbers} values), which alone gives K = {gain} DN/e⁻. Each pixel's mean dark value was "
         "subtracted, so that DSNU does not blur the histogram; the gains of the pixels are assumed "
@@ -857,14 +857,14 @@ FINDINGS = (
     ),
     Finding(
         "bent dark variance",
-        partial(_floored, True),
+        partial(_dark_variance_floor, True),
         "The line through the variances of the darks over exposure starts below {least:.3g} DN², "
         "although every variance is above it. The variances are not linear in exposure, so the "
         "standard gives only an upper bound on dark noise.",
     ),
     Finding(
         "floor of the dark noise",
-        partial(_floored, False),
+        partial(_dark_variance_floor, False),
         "Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives only "
         "an upper bound on dark noise.",
     ),
@@ -887,7 +887,7 @@ FINDINGS = (
     _quote("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
     Finding(
         "no saturation",
-        _unsaturated,
+        _highest_unsaturated,
         "{which} saturates the camera, so no figure that needs its capacity is determined. The "
         "ranges of the standard end at the brightest level. Add brighter flats.",
     ),
@@ -983,5 +983,5 @@ FINDINGS = (
     ),
     _quote("solver", _solver),
     _quote("remarks", lambda c: c.measurement.remarks),
-    _quote("contradicted", _contradicted),
+    _quote("contradicted", _contradictions),
 )

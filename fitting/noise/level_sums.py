@@ -52,7 +52,7 @@ def temporal_variance(
     columns, the expected sum of the parts of pixels, rows and columns is T (h w) / (h w - 1). If a
     frame is a single row or column, all noise counts as noise of pixels.
     """
-    parts = _parted(live, pixels, rows, columns)
+    parts = _separate_variances(live, pixels, rows, columns)
     pixels, rows, columns = parts.tolist()
     frames -= float(live.variance_shares[3] @ parts)
     return TemporalVariance(pixels, rows, columns, frames)
@@ -68,11 +68,13 @@ def fixed_variance(
         return 0.0, 0.0
     away = average - live.mean(average)
     lines = (float(np.nanmean(live.line_means(away, axis) ** 2)) for axis in (0, 1))
-    _, rows, columns = _parted(live, live.mean(away**2), *lines)
+    _, rows, columns = _separate_variances(live, live.mean(away**2), *lines)
     return float(rows - temporal.rows / count), float(columns - temporal.columns / count)
 
 
-def _parted(live: LivePixels, total: float, of_rows: float, of_columns: float) -> np.ndarray:
+def _separate_variances(
+    live: LivePixels, total: float, of_rows: float, of_columns: float
+) -> np.ndarray:
     """Solve for the variances of pixels, rows and columns."""
     if min(live.shape) == 1:
         return np.array([total / live.variance_shares[0, 0], 0.0, 0.0])

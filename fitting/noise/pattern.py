@@ -66,16 +66,16 @@ class Spread:
     @property
     def bound(self) -> float:
         """The upper limit of the variance if it is not significant."""
-        return self._below(self.noise)
+        return self._upper_limit(self.noise)
 
     @property
     def hidden_by_noise(self) -> bool:
         """Whether temporal noise limits the bound, so that more frames would lower it."""
-        return self.temporal is None or self.bound < LARGEST_BOUND_RATIO * self._below(
+        return self.temporal is None or self.bound < LARGEST_BOUND_RATIO * self._upper_limit(
             self.temporal
         )
 
-    def _below(self, noise: float) -> float:
+    def _upper_limit(self, noise: float) -> float:
         return max(self.variance, 0.0) + SIGNIFICANCE_SIGMAS * noise
 
 
@@ -211,18 +211,18 @@ def unequal_gains(
     own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square
     lit, unlit = _lines(bright), _lines(dark)
 
-    def one(axis: int) -> Found:
+    def compare_lines(axis: int) -> Found:
         across = lit[1 - axis][2]
 
-        def of(levels: Levels, lines: list) -> tuple[np.ndarray, np.ndarray]:
+        def line_variances(levels: Levels, lines: list) -> tuple[np.ndarray, np.ndarray]:
             """Return the fixed variance of the means of rows or columns, and the temporal variance
             of these means in the average frame."""
             fixed, varying, _ = lines[axis]
             passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
             return fixed, passing / np.asarray(levels.frames)
 
-        fixed, passing = (x[usable] for x in of(bright, lit))
-        dark_fixed, dark_passing = (x[matched] for x in of(dark, unlit))
+        fixed, passing = (x[usable] for x in line_variances(bright, lit))
+        dark_fixed, dark_passing = (x[matched] for x in line_variances(dark, unlit))
         return one_pattern(
             (fixed - dark_fixed) / square,
             float(np.median(own)) / across,
@@ -231,7 +231,7 @@ def unequal_gains(
             lit[axis][2],
         )
 
-    return one(0), one(1)
+    return compare_lines(0), compare_lines(1)
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:

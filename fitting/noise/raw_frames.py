@@ -112,12 +112,12 @@ def processing_in_words(
     """Return sentences on the evidence that frames are not raw; an empty list if there is none."""
     lossy = measurement.lossy
     if not lossy:
-        return [*compressed_in_words(measurement, usable), *_denoised(measurement, usable)]
+        return [*compressed_in_words(measurement, usable), *_find_denoising(measurement, usable)]
     named = (
         f"{listed(lossy)} {'is' if len(lossy) == 1 else 'are'} JPEG, which removes noise and "
         f"usually has a tone curve: {NOT_THE_CAMERAS}"
     )
-    return [named, *_denoised(measurement, usable)]
+    return [named, *_find_denoising(measurement, usable)]
 
 
 def compressed_in_words(
@@ -183,7 +183,7 @@ def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
     return True
 
 
-def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
+def _find_denoising(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     bright, dark = measurement.bright, measurement.dark
     lit, unlit = local_variances(bright), local_variances(dark)
     if lit is None or unlit is None:

@@ -108,7 +108,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
     rig, odd, remarks = _drop_odd_heads(rig)
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
-    darks = _pooled(rig.dark)
+    darks = _pool_darks(rig.dark)
     light = [_light(rig, flat) for flat in flats]
     known = [value is not None for value in light]
     if any(known) and not all(known):
@@ -127,9 +127,9 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     if dead is not None:
         remarks.append(_dead_in_words(rig, dead, channel))
     source = _Source(rig, channel, load, None if dead is None else ~dead.all)
-    dark, of_darks, unlit = _reduced(source, darks, odd=odd["dark"])
+    dark, of_darks, unlit = _reduce_levels(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright, of_flats, lit = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    bright, of_flats, lit = _reduce_levels(source, flats, odd=odd["flat"], light=amounts, dark=dark)
     taken = series_times([rig.path(shown[0].name) for shown in of_flats])
     if taken is not None:
         bright = replace(bright, taken=_array(taken))
@@ -215,10 +215,10 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     """Compute the statistics of the darks of a rig alone."""
     rig, odd, _ = _drop_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
-    entries = _pooled(rig.dark)
+    entries = _pool_darks(rig.dark)
     dead = _dead(rig, [], entries, channel, load)
     source = _Source(rig, channel, load, None if dead is None else ~dead.all)
-    darks, _, codes = _reduced(source, entries, odd=odd["dark"])
+    darks, _, codes = _reduce_levels(source, entries, odd=odd["dark"])
     remarks = () if dead is None else (_dead_in_words(rig, dead, channel),)
     return replace(darks, converter=codes.converter(), left_out=(*remarks, *darks.left_out))
 
@@ -300,7 +300,7 @@ def _first_site(camera: Camera) -> str:
     return (greens or camera.sites)[0]
 
 
-def _pooled(darks: Sequence[Dark]) -> list[Dark]:
+def _pool_darks(darks: Sequence[Dark]) -> list[Dark]:
     """Combine the darks of equal exposure, in the order of exposure."""
     files: dict[float, tuple[str, ...]] = {}
     for dark in darks:
@@ -351,7 +351,7 @@ def _drop_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str
     return rig.model_copy(update={k: tuple(own) for k, own in kept.items()}), odd, remarks
 
 
-def _reduced(
+def _reduce_levels(
     source: _Source,
     entries: Sequence[Flat] | Sequence[Dark],
     *,

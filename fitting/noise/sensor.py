@@ -81,11 +81,11 @@ def _well_of(held: float, mean: float) -> float:
     """Solve E[min(N, W)] = held for W, with N Gaussian of this mean and variance."""
     sigma = np.sqrt(mean)
 
-    def missed(well: float) -> float:
+    def mean_error(well: float) -> float:
         z = (well - mean) / sigma
         return well - held - sigma * (z * ndtr(z) + np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))
 
-    return root_scalar(missed, bracket=(held, mean + 10 * sigma)).root
+    return root_scalar(mean_error, bracket=(held, mean + 10 * sigma)).root
 
 
 DRAWS = 1000  # most draws that are kept

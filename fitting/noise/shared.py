@@ -76,7 +76,7 @@ def temporal_lines(levels: Levels, axis: int) -> Found:
     degrees = (np.asarray(levels.frames) - 1) * max(lines - 1, 1.0)
     expected = np.asarray(levels.variance) / across
     values = np.asarray(levels.shared.lines)[axis]
-    return _pooled(values, expected, degrees, degrees * max(across - 1, 1.0))
+    return _pool(values, expected, degrees, degrees * max(across - 1, 1.0))
 
 
 def extra_lines(
@@ -97,7 +97,7 @@ def extra_lines(
     values = np.asarray(bright.shared.lines)[axis, usable] - alike
     degrees = (np.asarray(bright.frames)[usable] - 1) * max(lines - 1, 1.0)
     expected = by_pixels + alike
-    pooled = _pooled(values, expected, degrees, np.full(len(values), beneath / len(values)))
+    pooled = _pool(values, expected, degrees, np.full(len(values), beneath / len(values)))
     ratio = np.divide(values, expected, out=np.full(len(values), -np.inf), where=expected > 0)
     plainest = int(np.argmax(ratio * np.sqrt(degrees)))
     error = (expected + values)[plainest] * np.sqrt(2 / degrees[plainest])
@@ -190,10 +190,10 @@ def drift(levels: Levels) -> Found:
     expected = np.asarray(levels.variance) / shape.prod() + lines.sum(axis=0)
     unsure = np.sum(lines**2 / (degrees * np.maximum(shape - 1, 1.0)), axis=0)
     beneath = np.minimum(expected**2 / np.maximum(unsure, TINY), MOST_DEGREES)
-    return _pooled(np.asarray(levels.shared.frames), expected, degrees, beneath)
+    return _pool(np.asarray(levels.shared.frames), expected, degrees, beneath)
 
 
-def _pooled(
+def _pool(
     values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
 ) -> Found:
     """Return the weighted mean over levels of `values`, the variances in excess of those expected

@@ -119,7 +119,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
         rates = np.stack(
             [one.parameter("signal_rate") / one.parameter("system_gain") for one in numbers], 1
         )
-    every = _joined(tuple(sensors), rates, widest, camera)
+    every = _join_taps(tuple(sensors), rates, widest, camera)
     return SensorOfSites(*best_and_draws(every), findings)
 
 
@@ -146,7 +146,7 @@ def joined_sensors(
             )
             for one in each
         ]
-    return best_and_draws(_joined(tuple(each), None, 0, camera))
+    return best_and_draws(_join_taps(tuple(each), None, 0, camera))
 
 
 @double_precision
@@ -248,7 +248,7 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
         if name in labels and all(one.parameter(name)[1:].std() for one in each)
     ]
     own = [name for name in OWN_NAMES if name in labels]
-    tables = [np.stack([_scaled(one, name) for name in (*own, *shared)], 1) for one in each]
+    tables = [np.stack([_to_common_unit(one, name) for name in (*own, *shared)], 1) for one in each]
     sentences: tuple[str, ...] = ()
     if shared:
         count = len(own)
@@ -292,7 +292,7 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return np.linalg.pinv(matrix / scale) / scale
 
 
-def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
+def _to_common_unit(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
     """Return a parameter in a unit that is common to all taps. A parameter whose effect grows with
     the charge is given per electron."""
     per_charge = (numbers.parameter("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
@@ -337,7 +337,7 @@ def _average_other_parameters(each: Sequence[Numbers]) -> list[Numbers]:
 
 
 @compiled_briefly
-def _joined(
+def _join_taps(
     sensors: tuple[Sensor, ...],
     rates: np.ndarray | None,
     widest: int,
@@ -346,7 +346,7 @@ def _joined(
     """Make, for each draw, one sensor with taps from the sensors of all taps. If photons are
     unknown, `rates`, the signal per unit of light of each tap, replace the efficiencies."""
 
-    def one(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
+    def join_sensor(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
         own = {}
         for name in OWN:
             values = [getattr(sensor, name) for sensor in each]
@@ -369,4 +369,4 @@ def _joined(
             del means["quantum_efficiency"]
         return replace(each[widest], taps=taps, offset=jnp.mean(offsets), **means)
 
-    return eqx.filter_vmap(one)(sensors, rates)
+    return eqx.filter_vmap(join_sensor)(sensors, rates)

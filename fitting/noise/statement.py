@@ -441,13 +441,13 @@ def choose_model(
     always = linear.space + dark_scatter(measurement)
     candidates = candidates_for(measurement, problem.inputs, always, sharing=sharing)
     whole = replace_parameters(problem, always, candidates=candidates)
-    chosen = _reduced(fit_model(whole, standard), standard, sharing)
+    chosen = _drop_candidates(fit_model(whole, standard), standard, sharing)
     drifts = _may_be_drift(chosen, trend)
     if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
         # A drift of the light from level to level resembles a curved response, which a search may
         # find although the variances contradict it.
         bent = [one.name for one in candidates if one.parameter in CURVE]
-        other = _reduced(fit_model(whole, standard, without=bent), standard, sharing)
+        other = _drop_candidates(fit_model(whole, standard, without=bent), standard, sharing)
         described = drifts and other.p_value >= MISFIT
         chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
     chosen = _drifting_lamp(chosen, whole, candidates, standard, sharing)
@@ -475,7 +475,7 @@ def _drifting_lamp(
     drift = Candidate(LIGHT_DRIFT, chance=SPURIOUS)
     always = tuple(p for p in whole.space if p.name not in {one.name for one in candidates})
     problem = replace_parameters(whole, always, candidates=[*straight, drift])
-    lamp = _reduced(fit_model(problem, standard), standard, sharing)
+    lamp = _drop_candidates(fit_model(problem, standard), standard, sharing)
     if LIGHT_DRIFT not in lamp.space or lamp.bic > chosen.bic + DECIDED:
         return chosen
     if not bends or lamp.bic < chosen.bic - DECIDED:
@@ -487,7 +487,7 @@ def _drifting_lamp(
     return chosen if bend > DECIDED > change else both
 
 
-def _reduced(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
+def _drop_candidates(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
     """Drop candidates that fail the criterion, the weakest first, and fit again each time. If
     nearest neighbours covary significantly (`sharing`), the stronger of mixing and brighter-fatter
     effect stays in the model, however uncertain its size. Without both effects, the gain would be

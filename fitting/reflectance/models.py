@@ -222,7 +222,7 @@ def _pair_values(
     build = REFLECTANCES[model].material
     assert build is not None, model
 
-    def of_one(shape: Array, wi: Vec, wo: Vec) -> Array:
+    def pair_value(shape: Array, wi: Vec, wo: Vec) -> Array:
         return of_pair(build(shape, index), wi, wo)[0]
 
-    return jax.vmap(of_one, (0 if shape.ndim else None, 0, 0))(shape, wi, wo)
+    return jax.vmap(pair_value, (0 if shape.ndim else None, 0, 0))(shape, wi, wo)

@@ -254,7 +254,7 @@ def photometric_stereo(
         >>> print(found.normals[0, 0].round(6) + 0.0, found.albedo[0, 0].round(6))
         [0. 0. 1.] 100.0
     """
-    stack, rows, distances = _checked(images, lights, intensities, points)
+    stack, rows, distances = _check_images(images, lights, intensities, points)
     infinite = np.isinf(stack)
     missing = _infinite_finding(int(infinite.sum())) if infinite.any() else ()
     stack = np.where(infinite, np.nan, stack)
@@ -272,14 +272,14 @@ def photometric_stereo(
     limits = (lowest, highest, _dark_noise(rows, readings, first), noise)
     unlit = _unlit_finding(readings, between, limits)
     between &= not unlit
-    counts = _counted(rows, readings, between, limits, robust=robust)
+    counts = _used_readings(rows, readings, between, limits, robust=robust)
     surface, linear, tilt, remarks = None, rows, 0.0, ()
     if model != "lambert":
         start = solved(rows, readings, counts.astype(float))[0]
         surface = fitted_surface(model, rows, readings, between, start, labels.ravel(), toward)
         linear, tilt = surface.slopes, surface.tilt(rows)
         readings = readings - surface.extra
-        counts = _counted(rows, readings, between, limits, robust=robust)
+        counts = _used_readings(rows, readings, between, limits, robust=robust)
     apart, findings = _contradicted_images(rows, readings, counts, limits)
     if robust and apart.any():
         between[apart] = False
@@ -298,7 +298,7 @@ def photometric_stereo(
     agreeing = readings
     if apart.any() or alone.any() or common is not None:
         agreeing = readings if common is None else common.removed(readings)
-        counts = _counted(rows, agreeing, between, limits, robust=robust)
+        counts = _used_readings(rows, agreeing, between, limits, robust=robust)
     shape, undecided = stack.shape, np.zeros(readings.shape[1], bool)
     against, wild = _contradicted_pixels(rows, agreeing, counts, between, limits)
     for lost in (against, wild):
@@ -528,7 +528,7 @@ def _common(
     """Return factors of the lights, or an offset, that are common to all pixels, and the lights
     whose factor deviates if there are few such lights.
     """
-    counts = _counted(rows, readings, between, limits, robust=False)
+    counts = _used_readings(rows, readings, between, limits, robust=False)
     common = common_departure(rows, readings, counts)
     if common is None or not robust:
         return common, np.zeros(len(rows), bool)
@@ -583,7 +583,7 @@ def _contradiction_finding(
     pixels do so in the same way.
     """
     readings = stack.reshape(len(rows), -1)
-    counts = _counted(rows, readings, between, limits, robust=False)
+    counts = _used_readings(rows, readings, between, limits, robust=False)
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     counts &= np.isfinite(g[:, 0])
     residuals = np.where(counts, readings - predicted(rows, g), 0)
@@ -657,7 +657,7 @@ def _contradicted_images(
     """
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = _scatter(rows, readings, counts, g, used)
-    expected = _between(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
+    expected = _within_limits(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
     total = np.maximum(expected.sum(axis=1), 1)
     share = (expected & ~counts).sum(axis=1) / total
     miss = np.where(expected, np.abs(readings - predicted(rows, g)), np.nan)
@@ -679,7 +679,7 @@ def _typical(g: Vectors) -> float:
     return float(np.nanmedian(np.linalg.norm(g, axis=1)))
 
 
-def _checked(
+def _check_images(
     images: ArrayLike,
     lights: ArrayLike,
     intensities: ArrayLike | None,
@@ -786,14 +786,14 @@ def _scatter(
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 
 
-def _between(rows: Rows, g: Vectors, scatter: OfPixels, limits: Limits) -> Counted:
+def _within_limits(rows: Rows, g: Vectors, scatter: OfPixels, limits: Limits) -> Counted:
     """Return a mask of the readings that a fit predicts to lie between both limits with a margin of
     several standard deviations."""
     expected, margin = predicted(rows, g), CLEAR * np.sqrt(np.nan_to_num(scatter))
     return (expected - margin > limits[0]) & (expected + margin < limits[1])
 
 
-def _counted(
+def _used_readings(
     rows: Rows, readings: Readings, between: Counted, limits: Limits, *, robust: bool
 ) -> Counted:
     """Return a mask of the readings that the fit uses. A reading is used if the fit predicts it
@@ -811,7 +811,7 @@ def _counted(
         lit = ~(predicted(own_rows, g) <= limits[0] + CLEAR * limits[2])
         chosen = own_near & lit
         for spread in (0 * own[0], _usual_residual(own_rows, own, own_near, g)):
-            narrower = own_between & lit & _between(own_rows, g, spread**2, limits)
+            narrower = own_between & lit & _within_limits(own_rows, g, spread**2, limits)
             known = np.isfinite(solved(own_rows, own, narrower.astype(float))[1][:, 0, 0])
             chosen = np.where(known, narrower, chosen)
         if robust:
@@ -873,7 +873,7 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted, noise: float = 
         )
         near[:, some] = np.where(better, own, near[:, some])
     for _ in range(RETURNS):
-        back = _explained(rows, readings, counts & ~near, near)
+        back = _explained_readings(rows, readings, counts & ~near, near)
         if not back.any():
             break
         near |= back
@@ -1016,7 +1016,7 @@ def _contradicted_pixels(
     return (used > 3) & against, scatter > APART * usual
 
 
-def _explained(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
+def _explained_readings(rows: Rows, readings: Readings, apart: Counted, near: Counted) -> Counted:
     """Return a mask of excluded readings that agree with the prediction from the accepted readings,
     by Student's t for the largest of all prediction errors. Even if no reading is wrong, the
     accepted readings are those nearest to the fit, so their scatter is too small. The variance of

@@ -64,7 +64,7 @@ class Surface:
 
 
 @partial(jax.jit, static_argnums=0)
-def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Array):
+def _linearise(model: Model, g: Array, shared: Array, lights: Array, viewer: Array):
     """Return the readings per irradiance of each pixel and light, and their derivatives with
     respect to g and the shared log parameters.
     """
@@ -78,10 +78,10 @@ def _linearised(model: Model, g: Array, shared: Array, lights: Array, viewer: Ar
         own = reflect(build(shape, INDEX), normal, as_vec(light), as_vec(viewer))[0]
         return light @ g + jnp.pi * jnp.exp(shared[0]) * own if has_lobe(model) else albedo * own
 
-    def both(g: Array, light: Array) -> tuple[Array, tuple[Array, Array]]:
+    def reading_and_slopes(g: Array, light: Array) -> tuple[Array, tuple[Array, Array]]:
         return reading(g, shared, light), jax.jacfwd(reading, (0, 1))(g, shared, light)
 
-    return jax.vmap(jax.vmap(both, (None, 0)))(g, lights)
+    return jax.vmap(jax.vmap(reading_and_slopes, (None, 0)))(g, lights)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class _Pixels:
             some = len(g[part])
             padded = np.resize(g[part], (AT_ONCE, 3))
             own = np.resize(own, (AT_ONCE, *lights.shape[1:]))
-            value, slopes = _linearised(self.model, padded, shared, own, self.viewer)
+            value, slopes = _linearise(self.model, padded, shared, own, self.viewer)
             found.append([np.asarray(x)[:some] for x in (value, *slopes)])
         value, by_g, by_shared = (np.concatenate(x) for x in zip(*found, strict=True))
         scale = strengths.T

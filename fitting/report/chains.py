@@ -128,14 +128,14 @@ def write_chains(
     if len(posteriors) > 1:
         dimensions, channels = (*dimensions, "channel"), {"channel": [*posteriors]}
 
-    def beside(columns: list[np.ndarray]) -> np.ndarray:
+    def stack_channels(columns: list[np.ndarray]) -> np.ndarray:
         return np.stack(columns, axis=-1) if channels else columns[0]
 
     absent = np.full((chains, kept), np.nan)
     variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {
         label: (
             dimensions,
-            beside(
+            stack_channels(
                 [
                     p.by_name[label][:chains, -kept:] if label in p.by_name else absent
                     for p in posteriors.values()
@@ -162,7 +162,7 @@ def write_chains(
             unfinished, mode="w", group="posterior", engine="h5netcdf"
         )
         if len(known) == len(densities):
-            xarray.Dataset({"lp": (dimensions, beside(known))}, channels).to_netcdf(
+            xarray.Dataset({"lp": (dimensions, stack_channels(known))}, channels).to_netcdf(
                 unfinished, mode="a", group="sample_stats", engine="h5netcdf"
             )
         for group, columns in (data or {}).items():

@@ -27,7 +27,7 @@ def print_section(console: Console, section: Section) -> None:
     """Print the estimates and tables of a section, then its findings."""
     console.print()
     if section.headline:
-        console.print(f"[bold]{_escaped(section.headline)}", soft_wrap=not console.is_terminal)
+        console.print(f"[bold]{_escape(section.headline)}", soft_wrap=not console.is_terminal)
     if section.estimates:
         found = sheet(section)
         for first in range(0, len(found.columns), COLUMNS):
@@ -54,17 +54,17 @@ def section_text(section: Section) -> str:
 
 
 def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
-    table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
+    table = RichTable(title=_escape(title), title_justify="left", title_style="bold")
     heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
     for head in heads:
-        table.add_column(_escaped(head), overflow="fold")
+        table.add_column(_escape(head), overflow="fold")
     for _, rows in found.blocks:
         table.add_section()
         for row in rows:
             name = f"{row.name}\n{row.unit}".rstrip()
             cells = (_cell(cell) for cell in row.cells[shown])
             compared = (row.difference,) if found.compares else ()
-            table.add_row(*map(_escaped, (name, *cells, *compared)))
+            table.add_row(*map(_escape, (name, *cells, *compared)))
     return table
 
 
@@ -98,15 +98,15 @@ def plain_tables(content: Table, width: int) -> list[RichTable]:
             added = min(whole[i] - least[i], max(spare, 0))
             spare -= added
             table.add_column(
-                _escaped(content.columns[i]),
+                _escape(content.columns[i]),
                 width=least[i] + added if is_narrow else None,
                 overflow="fold",
             )
         for row in rows:
-            table.add_row(*(_escaped(row[i]) for i in chosen))
+            table.add_row(*(_escape(row[i]) for i in chosen))
         tables.append(table)
-    tables[0].title = _escaped(content.title)
-    tables[-1].caption = _escaped(content.caption) or None
+    tables[0].title = _escape(content.title)
+    tables[-1].caption = _escape(content.caption) or None
     return tables
 
 
@@ -124,5 +124,5 @@ def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 
-def _escaped(cell: str) -> str:
+def _escape(cell: str) -> str:
     return cell.replace("[", r"\[")

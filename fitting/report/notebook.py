@@ -67,10 +67,10 @@ def section_html(section: Section) -> str:
 
 def _cell(cell: Cell) -> str:
     note = f"<sup>{cell.note}</sup>" if cell.note else ""
-    return f"<td>{_unbroken(cell.value)}{note} {_unbroken(cell.interval)}</td>"
+    return f"<td>{_without_breaks(cell.value)}{note} {_without_breaks(cell.interval)}</td>"
 
 
-def _unbroken(text: str) -> str:
+def _without_breaks(text: str) -> str:
     """Return the text as HTML in which no line break is allowed."""
     return (
         f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)

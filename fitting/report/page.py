@@ -40,7 +40,7 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
     """Return estimates with units and intervals, findings, tables and settings as JSON."""
     parts = ("kind", "title", "estimates", "findings", "tables", "settings", "inputs")
     content = {
-        "created": _now(),
+        "created": _current_time(),
         "seed": seed,
         "versions": versions(),
         "settings": settings,
@@ -64,7 +64,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
         for function in (chain_pictures, format_cell, format_unit, said_once, sheet, size_in_words)
     } | {"drawn": _draw}
     return environment.get_template("report.html.j2").render(
-        title=title, created=_now(), versions=versions(), sections=sections
+        title=title, created=_current_time(), versions=versions(), sections=sections
     )
 
 
@@ -126,7 +126,7 @@ def _draw(pictures: Sequence[Picture]) -> list[_Drawn]:
     return found
 
 
-def _now() -> str:
+def _current_time() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 

@@ -56,10 +56,10 @@ def said_once(findings: Sequence[str]) -> tuple[str, ...]:
         label, text = labelled.groups() if labelled else ("", finding)
         frame = _NUMBER.sub("\0", text) if label else finding
         groups.setdefault(frame, []).append((label, text))
-    return tuple(_joined(group) for group in groups.values())
+    return tuple(_join(group) for group in groups.values())
 
 
-def _joined(group: list[tuple[str, str]]) -> str:
+def _join(group: list[tuple[str, str]]) -> str:
     label, text = group[0]
     if not label:
         return text

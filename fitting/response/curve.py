@@ -380,12 +380,12 @@ def _shutter_error(found: Solution) -> float | None:
     informed = known > UNINFORMATIVE * known.max()
     known, square = known[informed], ((pull @ axes)[informed] / known[informed]) ** 2
 
-    def beyond(tau: float) -> float:
+    def chi_square_excess(tau: float) -> float:
         return float(np.sum(square / (1 / known + tau**2))) - len(known)
 
-    if beyond(0.0) <= chdtri(len(known), 1 - SIGNIFICANCE) - len(known):
+    if chi_square_excess(0.0) <= chdtri(len(known), 1 - SIGNIFICANCE) - len(known):
         return None
-    return cast(float, brentq(beyond, 0.0, np.sqrt(square.sum())))
+    return cast(float, brentq(chi_square_excess, 0.0, np.sqrt(square.sum())))
 
 
 def _image_information(found: Solution) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ NOTABLE_RIPPLE = 0.5  # share of a curve's variance from which its ripple is rep
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     """Return the findings about the response and its images as sentences."""
     channels = calibration.channels
-    found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
+    found = [*calibration.stack.remarks, _shape_in_words(channels), _untested_codes(channels)]
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
     found += [_moved_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
@@ -228,7 +228,7 @@ def _step_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
 
 
-def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
+def _untested_codes(channels: Sequence[ChannelResponse]) -> str:
     """Return a finding if deviations from a gamma at codes outside the tested range are significant
     and larger than those within; else an empty string."""
     found = []

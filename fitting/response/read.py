@@ -160,7 +160,9 @@ def read_exposure_stack(
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
         kept = _drop_odd_images(rig, tuple(entries), frames, remarks)
         planes += _planes(rig, group, kept, mask, measured_black, frames, converter)
-    fixed = max(float(np.mean(_painted(p.codes, p.exposures, p.black, p.clip))) for p in planes)
+    fixed = max(
+        float(np.mean(_find_overlays(p.codes, p.exposures, p.black, p.clip))) for p in planes
+    )
     if fixed > FIXED_SHARE:
         remarks.append(
             f"{format_percent(fixed)} of the pixels have the same number above black in all "
@@ -363,7 +365,7 @@ def _planes(
                 files,
                 times,
                 codes,
-                masks[name] & ~_painted(codes, times, black, clip),
+                masks[name] & ~_find_overlays(codes, times, black, clip),
                 black,
                 clip,
                 black_sd=camera.black_sd or 0.0,
@@ -415,7 +417,7 @@ def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[
     return (codes == codes[0]).all(axis=0)
 
 
-def _painted(
+def _find_overlays(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
 ) -> Bool[np.ndarray, "h w"]:
     """Return a mask of pixels that do not show the scene, such as overlays. The codes of such

@@ -108,7 +108,7 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
         return Shape(size, code)
     places = np.linspace(0, len(judged) - 1, min(MOST_CODES, len(judged)))
     judged = judged[np.unique(places.astype(int))]
-    beyond, error = _beyond_chance(curve, judged, chance)
+    beyond, error = _significant_codes(curve, judged, chance)
     if not beyond.any():
         return Shape(size, code)
     sizes = np.where(beyond, np.abs(departure[judged]), 0)
@@ -117,7 +117,7 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
     return Shape(size, code, float(sizes[worst]), at, float(error[worst]))
 
 
-def _beyond_chance(
+def _significant_codes(
     curve: ResponseCurve, judged: np.ndarray, chance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Test the deviations of all codes from a straight line together. Return a mask of the codes

@@ -227,9 +227,9 @@ def _largest_sent(
     others: np.ndarray,
 ) -> np.ndarray:
     """Bound the light in the picture, (bands,), that surface i reflects from all lights and from
-    other surfaces. `others`, (bands,), bounds the light from other surfaces. `reflect_light(k, around)`
-    bounds the light of lamp k that each cell reflects, (c, bands), toward the eye or, if `around`,
-    toward any viewer."""
+    other surfaces. `others`, (bands,), bounds the light from other surfaces. `reflect_light(k,
+    around)` bounds the light of lamp k that each cell reflects, (c, bands), toward the eye or, if
+    `around`, toward any viewer."""
     part = part_of(sums.cells, i)
 
     def sent_radiance(around: bool) -> np.ndarray:

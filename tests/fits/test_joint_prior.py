@@ -331,7 +331,7 @@ def test_correlations_add_what_the_joint_gaussian_has():
             np.asarray(vectors)[:, ::-1]
         )
         np.testing.assert_allclose(np.diff(known), np.diff(wanted), rtol=1e-3)
-        alone = problem._replaced({"y": -5.0})
+        alone = problem._replace({"y": -5.0})
         assert alone.prior.names == ("x",)
         zeros = log_dependence(alone.prior, alone.space, jnp.zeros(1))
         np.testing.assert_allclose(zeros, 0.0, atol=1e-15)

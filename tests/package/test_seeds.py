@@ -163,8 +163,8 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     monkeypatch.setattr(joint, "drop_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in
-    monkeypatch.setattr(joint, "_recognised", lambda observation, *_: observation)
-    monkeypatch.setattr(joint, "_encoded", lambda observation, *_: (observation, False))
+    monkeypatch.setattr(joint, "_recognise_pixel_means", lambda observation, *_: observation)
+    monkeypatch.setattr(joint, "_decode_photographs", lambda observation, *_: (observation, False))
     dn = np.ones((2, 1, 1))
     measurement = SimpleNamespace(channels=("red", "green"), within=None, dn=dn)
     joint.calibrate(cast(Photographs, measurement), seed=7)

@@ -42,7 +42,7 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
     scale, unit = (1, "e⁻/s") if law == ("dark_current", "temperature") else (100, "%")
     rivals = [NAMES[rival[0]] for rival in claim.rivals if rival not in calibration.fit.freed]
     return {
-        "own": ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in shown),
+        "own": ", ".join(f"{one.label}: {_signed_text(one, scale)} {unit}" for one in shown),
         "chi_square": claim.chi_square,
         "degrees": claim.degrees,
         "p": format_p(claim.p_value),
@@ -57,7 +57,7 @@ def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
     return claim if claim and claim["rivals"] else None
 
 
-def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, Finding]:
+def _dropped_law_findings(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, Finding]:
     law: Law = quantity, axis
     key = f"{quantity} over {axis}"
     return (
@@ -80,7 +80,7 @@ def _relative(one: OwnDeviation) -> OwnDeviation:
     return replace(one, value=np.expm1(one.value), error=np.exp(one.value) * one.error)
 
 
-def _signed(one: OwnDeviation, scale: float = 100) -> str:
+def _signed_text(one: OwnDeviation, scale: float = 100) -> str:
     return format_with_error(scale * one.value, scale * one.error, signed=True)
 
 
@@ -110,7 +110,7 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
         "scale": found[0],
         "unit": stated,
         "p": format_p(found[1]),
-        "off": ", ".join(f"{one.label} by {_signed(one)} %" for one in found[2]),
+        "off": ", ".join(f"{one.label} by {_signed_text(one)} %" for one in found[2]),
     }
 
 
@@ -175,41 +175,41 @@ FINDINGS = (
         "Frames of {labels} are not raw (compressed or denoised), as the findings of each say. No "
         "sensor file is written, because it would describe this processing instead of the camera.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("system_gain", "temperature"),
         "The conversion gain changes with temperature ({own}), as amplifiers and voltage "
         "references do; each setting has its own gain.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("quantum_efficiency", "gain"),
         "The quantum efficiency is not the same at every gain ({own}). An amplifier cannot change "
         "it, so either photons are stated wrongly at some gain, or images there were smoothed or "
         "denoised, which lowers the variance and with it the estimated conversion gain. Each gain "
         "has its own quantum efficiency.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("quantum_efficiency", "temperature"),
         "The quantum efficiency is not the same at every temperature ({own}): the lamp drifted "
         "from its stated photons, or the band edge of the sensor shifts at this wavelength. Each "
         "temperature has its own quantum efficiency.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("read_noise", "gain"),
         "Read noise over gain is not the sum of a part before and a part after one amplifier "
         "({own}). This happens if a camera switches its conversion gain between two ranges, or "
         "filters images of high gain. Each gain has its own read noise.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("read_noise", "temperature"),
         "Read noise changes with temperature ({own}); each setting has its own read noise, and the "
         "law over gain is not used.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("dark_current", "gain"),
         "Dark current in electrons is not the same at every gain ({own}), as if the camera "
         "subtracts a part of it from its black level; each setting has its own dark current.",
     ),
-    *_given_up(
+    *_dropped_law_findings(
         *("dark_current", "temperature"),
         "Dark current does not follow Arrhenius' law ({own}). Causes are two mechanisms, glow or "
         "stray light, a black level that compensates dark current, or stated temperatures that "

@@ -95,8 +95,8 @@ def sensor_without(
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     settings, posterior = calibration.settings, calibration.posterior
-    stated = _within([s.gain for s in settings], gain, "gain")
-    warmth = _within([s.temperature for s in settings], temperature, "temperature")
+    stated = _check_range([s.gain for s in settings], gain, "gain")
+    warmth = _check_range([s.temperature for s in settings], temperature, "temperature")
     factor = Setting(stated, settings[0].gain_unit).gain_factor
     weights = _weights(settings, factor, warmth)
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
@@ -108,7 +108,7 @@ def sensor_without(
     calibrations = {i: one for i, one in enumerate(calibration.calibrations) if one is not None}
     nearest = min(calibrations, key=lambda i: _distance(settings[i], factor, warmth))
     numbers = {
-        i: _given_all(calibration, i, at, left_out.get(settings[i]))
+        i: _condition_on_shared(calibration, i, at, left_out.get(settings[i]))
         for i in calibrations
         if i == nearest or weights[i]
     }
@@ -168,15 +168,15 @@ def _weights(
     kelvin = np.array([s.temperature or 1.0 for s in settings])
     every, gains = np.eye(len(settings)), np.unique(log_factor)
 
-    def between(x: float, places: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def interpolate(x: float, places: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return np.array([np.interp(x, places, column) for column in rows.T])
 
     at_gains = []
     for one in gains:
         own = np.flatnonzero(log_factor == one)
         own = own[np.argsort(kelvin[own])]
-        at_gains.append(between(warmth or 1.0, kelvin[own], every[own]))
-    return between(np.log(factor), gains, np.array(at_gains))
+        at_gains.append(interpolate(warmth or 1.0, kelvin[own], every[own]))
+    return interpolate(np.log(factor), gains, np.array(at_gains))
 
 
 def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[float, float]:
@@ -186,7 +186,7 @@ def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[fl
     return by_gain, abs((setting.temperature or 0.0) - (warmth or 0.0))
 
 
-def _given_all(
+def _condition_on_shared(
     calibration: CameraCalibration,
     i: int,
     at: Figures,
@@ -285,7 +285,7 @@ def write_sensor_of_sites_at(
     write_sensor(best, path, draws=draws, about=f"{about}; light is photons per pixel and second.")
 
 
-def _within(known: list[float | None], asked: float | None, word: str) -> float | None:
+def _check_range(known: list[float | None], asked: float | None, word: str) -> float | None:
     stated = sorted({one for one in known if one is not None})
     if asked is None:
         if len(stated) > 1:

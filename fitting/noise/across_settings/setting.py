@@ -170,7 +170,7 @@ def reduce_by_setting(
     for setting in sorted(rigs, key=lambda one: not rigs[one].flat):  # flats first
         place = Path(rig.folder) / f"({setting.label})" if len(rigs) > 1 else rig.folder
         try:
-            found[setting] = _reduced(place, setting, rigs[setting], lit, channel)
+            found[setting] = _reduce(place, setting, rigs[setting], lit, channel)
         except InputError as error:
             if failed is None:
                 raise
@@ -181,7 +181,7 @@ def reduce_by_setting(
     return tuple(found[setting] for setting in rigs if setting in found)
 
 
-def _reduced(
+def _reduce(
     place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str
 ) -> FramesOfSetting:
     """Reduce the frames of one setting. `lit` is the set of gains for which the rig has flats."""

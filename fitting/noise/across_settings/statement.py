@@ -229,7 +229,7 @@ def fit_settings(
         problem, start, labels = _make_problem(settings, estimates, freed, reference)
         begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
         optimum = search(problem, np.asarray(start_at(problem.space, begin))[None])
-        claims = _tested(problem, optimum.vector, settings, freed)
+        claims = _test_assumptions(problem, optimum.vector, settings, freed)
         worst = max(claims, key=lambda claim: claim.significance, default=None)
         if worst is None or worst.holds:
             break
@@ -379,7 +379,7 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
     """Return the (data,) residuals, their derivatives with respect to the (P,) parameters and to
     the (4, settings) deviations, and the (settings,) dark current."""
 
-    def missed(vector: Array, deviations: Array) -> Array:
+    def residuals(vector: Array, deviations: Array) -> Array:
         values = values_at(problem, vector) | {"deviations": deviations}
         return prediction(problem, values) - problem.data
 
@@ -387,13 +387,13 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
     at = figures(values_at(problem, vector), problem.inputs)
     dark = jnp.zeros_like(at.log_gain) if at.dark_current is None else at.dark_current
     return (
-        missed(vector, deviations),
-        *jax.jacfwd(missed, argnums=(0, 1))(vector, deviations),
+        residuals(vector, deviations),
+        *jax.jacfwd(residuals, argnums=(0, 1))(vector, deviations),
         dark,
     )
 
 
-def _tested(
+def _test_assumptions(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
     """Test the assumptions that were not dropped. Return the results for the assumptions that the

@@ -155,8 +155,8 @@ def compare(
     if draws is not None:
         every = jax.tree.map(lambda x, own: np.concatenate([x, own]), every, draws)
     if unscaled:
-        lit = _scaled(best, every, measurement, lit, seen, shown)
-    found, drawn, die = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
+        lit = _scale_light(best, every, measurement, lit, seen, shown)
+    found, drawn, die = _predict(best, every, measurement, lit, len(seen) == len(QUANTITIES))
     ended = np.zeros(shown.size, bool)
     if not fitted:
         ended = shown & _end_codes(best, found.values, measurement)
@@ -226,7 +226,7 @@ def _agreement(
     return Agreement(chi_square, float(max(len(missed) - free, 1)))
 
 
-def _expected(
+def _predict(
     sensor: Sensor, every: Sensor, measurement: PhotonTransfer, lit: Lit, neighbours: bool
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
@@ -296,7 +296,7 @@ def _file_numbers(values: np.ndarray, step: float, origin: float) -> np.ndarray:
     return scaled
 
 
-def _scaled(
+def _scale_light(
     sensor: Sensor,
     every: Sensor,
     measurement: PhotonTransfer,
@@ -316,7 +316,7 @@ def _scaled(
     factor = float(np.median(signal[bright] / (gain * efficiency * light[bright])))
     for _ in range(REFINEMENTS):
         now = replace(lit, light=light * max(factor, 1e-300))
-        found, *_ = _expected(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
+        found, *_ = _predict(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
         weight = 1 / np.maximum(found.values[1][bright], 1e-300)
         slope, missed = found.by_light[0][bright], (seen[0] - found.values[0])[bright]
         factor *= float(np.exp(np.sum(weight * slope * missed) / np.sum(weight * slope**2)))

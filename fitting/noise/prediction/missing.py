@@ -70,7 +70,7 @@ class Candidate(NamedTuple):
     positive: bool = False
 
 
-def _all_noise(size: Size, found: Expected) -> str:
+def _noise_factor(size: Size, found: Expected) -> str:
     """Name a factor by which all noise is smaller or larger, in the dark as in light."""
     how = "as in frames that were sharpened, or in differences of frames"
     if -1 < size.value < 0:
@@ -84,7 +84,7 @@ def _all_noise(size: Size, found: Expected) -> str:
     )
 
 
-def _filtered(along: str) -> Callable[[Size, Expected], str]:
+def _filtering(along: str) -> Callable[[Size, Expected], str]:
     """Make the function that names covariances of neighbours in proportion to all noise."""
     return lambda a, e: (
         f"covariances of neighbours along {along} of {a.word('', '-')}{a.format(100)} % of the "
@@ -93,7 +93,7 @@ def _filtered(along: str) -> Callable[[Size, Expected], str]:
     )
 
 
-def _shared(neighbours: str) -> Callable[[Size, Expected], str]:
+def _neighbour_mixing(neighbours: str) -> Callable[[Size, Expected], str]:
     """Make the function that names mixing of neighbouring pixels which the fitted gain did not
     include."""
     return lambda a, e: (
@@ -155,17 +155,17 @@ CANDIDATES = (
     Candidate(
         ALL_NOISE,
         lambda e, at: (None, *e.values[1:]),
-        _all_noise,
+        _noise_factor,
     ),
     Candidate(
         "filter_along_rows",
         lambda e, at: (None, None, e.before_rounding, None),
-        _filtered("a row"),
+        _filtering("a row"),
     ),
     Candidate(
         "filter_along_columns",
         lambda e, at: (None, None, None, e.before_rounding),
-        _filtered("a column"),
+        _filtering("a column"),
     ),
     Candidate(
         "read_noise",
@@ -214,19 +214,19 @@ CANDIDATES = (
     Candidate(
         "sharing",
         lambda e, at: (None, None, e.shot / 4, e.shot / 4),
-        _shared("neighbours that share"),
+        _neighbour_mixing("neighbours that share"),
         positive=True,
     ),
     Candidate(
         "sharing_along_rows",
         lambda e, at: (None, None, e.shot / 2, None),
-        _shared("neighbours along a row that share"),
+        _neighbour_mixing("neighbours along a row that share"),
         positive=True,
     ),
     Candidate(
         "sharing_along_columns",
         lambda e, at: (None, None, None, e.shot / 2),
-        _shared("neighbours along a column that share"),
+        _neighbour_mixing("neighbours along a column that share"),
         positive=True,
     ),
     Candidate(
@@ -379,7 +379,9 @@ class _Fit:
         if any(one.positive and size < 0 for one, size in zip(some, fitted, strict=True)):
             return -np.inf
         # Restricted likelihoods with different columns are comparable after a common correction.
-        return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
+        return self._fit_unrestricted(self._columns, self._logs) - self._fit_unrestricted(
+            columns, logs
+        )
 
     def take(self, one: Candidate, gain: float) -> Missing:
         """Add an effect to the fit, and update the noise of the frames that it changes."""
@@ -442,7 +444,7 @@ class _Fit:
         """Return the decrease of -2 log likelihood that a scatter gives, together with the chosen
         effects."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
-        return self._unrestricted(self._columns, logs) - self._unrestricted(
+        return self._fit_unrestricted(self._columns, logs) - self._fit_unrestricted(
             self._columns, self._logs
         )
 
@@ -515,7 +517,7 @@ class _Fit:
         found = minimize(cost, start, jac=True, bounds=self._bounds, method="L-BFGS-B")
         return found.x
 
-    def _unrestricted(self, columns: np.ndarray, logs: np.ndarray) -> float:
+    def _fit_unrestricted(self, columns: np.ndarray, logs: np.ndarray) -> float:
         covariance = self._covariance(logs)
         sizes, _ = self._sizes(columns, covariance)
         left = self._missed - columns @ sizes

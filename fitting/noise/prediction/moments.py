@@ -177,11 +177,11 @@ def expected(
     """Predict the quantities in codes, for each of several sensors, without clipping at the ends of
     the scale."""
 
-    def of(sensor: Sensor) -> Array:
+    def predict(sensor: Sensor) -> Array:
         one = jax.vmap(lambda at: _quantities(sensor, at, neighbours=neighbours), out_axes=1)
         return one(lit)
 
-    return eqx.filter_vmap(of)(sensors)
+    return eqx.filter_vmap(predict)(sensors)
 
 
 def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
@@ -211,17 +211,19 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
     """Return the electrons of each level, the codes per additional electron, and the derivative of
     the code by the logarithm of the light."""
 
-    def one(at: Lit) -> tuple[Array, Array, Array]:
-        def both(more: Array) -> tuple[Array, Array]:
+    def level_slopes(at: Lit) -> tuple[Array, Array, Array]:
+        def codes_and_charge(more: Array) -> tuple[Array, Array]:
             own, light = _level_sensor(sensor, replace(at, light=at.light + more))
             plain = replace(own, gain=None, offset=None, nonlinearity=None, bits=None)
             return jnp.sum(expected_signal(own, light)), jnp.sum(expected_signal(plain, light))
 
         nothing = jnp.zeros_like(at.light)
-        (_, electrons), (codes, charge) = jax.jvp(both, (nothing,), (jnp.ones_like(nothing),))
+        (_, electrons), (codes, charge) = jax.jvp(
+            codes_and_charge, (nothing,), (jnp.ones_like(nothing),)
+        )
         return electrons, codes / charge, codes * at.light
 
-    return jax.vmap(one)(lit)
+    return jax.vmap(level_slopes)(lit)
 
 
 def touched_by_ends(
@@ -256,7 +258,7 @@ def clipped(
     places = np.linspace(-REACHED, REACHED, count + 1) if count > 1 else np.zeros(1)
     weights = np.exp(-(places**2) / 2)
     weights /= weights.sum()
-    found = np.array(_clipped(sensor, lit, spread * places - lowest))
+    found = np.array(_clipped_moments(sensor, lit, spread * places - lowest))
     found[:, 0] += lowest
     mean = np.tensordot(weights, found, 1)
     left = (found - mean).reshape(len(places), -1)
@@ -268,15 +270,16 @@ def clipped(
 
 
 @compiled_briefly
-def _clipped(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> Array:
+def _clipped_moments(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> Array:
     black = 0.0 if sensor.offset is None else sensor.offset
 
-    def one(at: Lit, offset: Array) -> Array:
+    def moments_at(at: Lit, offset: Array) -> Array:
         own, light = _level_sensor(replace(sensor, offset=offset), at)
         return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)], axis=-1)
 
     return jax.lax.map(
-        lambda offset: jax.vmap(lambda at: one(at, black + offset), out_axes=-1)(lit), offsets
+        lambda offset: jax.vmap(lambda at: moments_at(at, black + offset), out_axes=-1)(lit),
+        offsets,
     )
 
 

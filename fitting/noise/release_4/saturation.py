@@ -60,7 +60,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
     count = float(bright.pixels) * np.asarray(bright.frames)[pair]
     share = numbers.at_top[pair]
     if np.all((share * count >= FEWEST) & ((1 - share) * count >= FEWEST)):
-        light, error = _interpolated(lights[pair], share, count)
+        light, error = _interpolate(lights[pair], share, count)
     else:
         end = measurement.full_scale - measurement.converter.step / 2
         light, error = _gaussian_saturation(lights, mean, numbers.spread, end, above)
@@ -79,7 +79,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
     return found, True
 
 
-def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
+def _interpolate(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
     """Interpolate the saturation light, with its standard error, between two levels that both have
     numbers at the end of the scale and below."""
     deviates = ndtri(share)

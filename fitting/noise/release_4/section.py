@@ -223,7 +223,7 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
             f"The high-pass leaves {lines} of the deviation of independent rows and columns and "
             f"{pixels} of that of independent pixels; figures after it are not corrected for that."
         )
-        sentences += _uneven(sheet.nonuniformity)
+        sentences += _unevenness(sheet.nonuniformity)
     return (*sentences, *_leaks(sheet, stacks.averages))
 
 
@@ -248,7 +248,7 @@ def _noise_of_linearity(sheet: Release4) -> str:
     )
 
 
-def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
+def _unevenness(found: Mapping[str, Nonuniformity]) -> list[str]:
     plain, filtered = (found[how].prnu["total"] for how in (PLAIN, FILTERED))
     low, high = np.quantile(plain, 0.025), np.quantile(filtered, 0.975)
     if low <= high / loss_of_filter().lines:

@@ -130,7 +130,7 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
     top = reduced.measurement.full_scale
 
     def stack(names: Sequence[str]) -> Stack:
-        return _averaged(reduced.plane, names, top)
+        return _average(reduced.plane, names, top)
 
     levels, of_levels = [], []
     for one, files in (
@@ -160,7 +160,7 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
     return Stacks(measurement, numbers, of_flats, of_darks, averages)
 
 
-def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
+def _average(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
     """Average the frames `names`. The sums are of deviations from the first frame, to reduce
     rounding errors."""
     first = np.asarray(plane(names[0]), float)

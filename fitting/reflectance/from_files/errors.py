@@ -134,11 +134,11 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
     ours, theirs = one.parts[:, column], other.parts[:, column]
     others = 1 - np.eye(len(ours))
 
-    def of(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    def ratio_of_sums(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
         exact = (ours <= 0) | (theirs <= 0)
         return np.sqrt(np.where(exact, 1, ours) / np.where(exact, 1, theirs))
 
-    return Ratio(value, of(others @ ours, others @ theirs), of(ours, theirs))
+    return Ratio(value, ratio_of_sums(others @ ours, others @ theirs), ratio_of_sums(ours, theirs))
 
 
 def exceeds_signal(errors: Errors, objective: Objective) -> bool:

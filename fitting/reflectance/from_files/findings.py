@@ -143,11 +143,11 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     rivals: list[Model] = [best_about_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
     against = ", ".join(
-        f"{format_error(held_out[m], objective)} for {_described(m)}" for m in others
+        f"{format_error(held_out[m], objective)} for {_describe(m)}" for m in others
     )
     angles = np.degrees(calibration.measured.incidences)
 
-    def compared(models: Sequence[Model], *, counted: bool = False) -> str:
+    def compare(models: Sequence[Model], *, counted: bool = False) -> str:
         """Return, for each model, the ratio of its error to that of the best model, the range of
         this ratio if one incidence is left out, and the number of incidences.
         """
@@ -174,15 +174,15 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
         "equal": listed([f"{LABELS[m]} ({format_error(held_out[m], objective)})" for m in equal])
         if equal
         else "",
-        "far": compared(far),
-        "worse": compared(worse, counted=True),
-        "useless": compared(useless),
+        "far": compare(far),
+        "worse": compare(worse, counted=True),
+        "useless": compare(useless),
         "likely": LIKELY,
     }
     return {"verdict": " ".join(evaluate_findings(VERDICT, numbers))}
 
 
-def _described(model: Model) -> str:
+def _describe(model: Model) -> str:
     where = AXIS_NAMES[REFLECTANCES[model].axis]
     return f"the best lobe about the {where} ({LABELS[model]})" if where else LABELS[model]
 

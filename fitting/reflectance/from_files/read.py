@@ -192,7 +192,7 @@ def from_samples(
             f"{source}: a value of {farthest:g} is beyond {LARGEST:g} sr^-1, which no measured "
             "BRDF reaches; remove the rows that mark missing data, or convert the unit."
         )
-    clipped = seen & _clipped(values, samples, seen)
+    clipped = seen & _clipped_samples(values, samples, seen)
     if clipped.any():
         left = seen & ~clipped
         enough = left.sum() >= FEWEST_SAMPLES
@@ -245,8 +245,8 @@ def from_samples(
     nanometres = _nanometres(samples)
     return MeasuredBRDF(
         name=name,
-        wi=_chosen(wi, chosen),
-        wo=_chosen(wo, chosen),
+        wi=_select(wi, chosen),
+        wo=_select(wo, chosen),
         values=values[chosen],
         weights=weights / weights.mean(),
         incidence=incidence,
@@ -307,7 +307,7 @@ def _reciprocity_remark(
     return ()
 
 
-def _clipped(
+def _clipped_samples(
     values: Float[np.ndarray, "n bands"], samples: BRDFSamples, seen: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """Return a mask of clipped samples. A band counts as clipped if its largest value occurs in
@@ -364,7 +364,7 @@ def _incidences(
     return incidence, np.bincount(incidence, theta_i) / np.bincount(incidence)
 
 
-def _chosen(v: Vec, chosen: np.ndarray) -> Vec:
+def _select(v: Vec, chosen: np.ndarray) -> Vec:
     return Vec(*(jnp.asarray(np.asarray(x, np.float64)[chosen]) for x in (v.x, v.y, v.z)))
 
 

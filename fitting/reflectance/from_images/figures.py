@@ -188,7 +188,7 @@ def shown_lights(observation: Photographs) -> list[int]:
 def _draw_terms(
     calibration: ReflectanceCalibration, fit: ChannelFit, diffuse: "Axes", specular: "Axes"
 ) -> None:
-    values, cosine, angle, unit = _per_unit_light(calibration, fit)
+    values, cosine, angle, unit = _normalise_signal(calibration, fit)
     colour, marker = OF_CHANNEL[fit.channel], MARKERS[fit.channel]
     natural = dict(zip((p.name for p in fit.space), fit.natural, strict=True))
     shown = has_lobe(fit.form.model)
@@ -216,7 +216,7 @@ def _draw_terms(
         _draw_medians(specular, np.degrees(angle), highlight, np.degrees(edges), colour)
 
 
-def _per_unit_light(
+def _normalise_signal(
     calibration: ReflectanceCalibration, fit: ChannelFit
 ) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Return the decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted,

@@ -68,7 +68,7 @@ def quoted(sentences: Iterable[str]) -> list[Numbers]:
 # ---------------------------------------------------------------- each channel
 
 
-def _clipped(of: OfChannel) -> Numbers | None:
+def _count_clipped(of: OfChannel) -> Numbers | None:
     samples = of[1].samples
     clipped = 0 if samples.saturated is None else int(np.sum(samples.saturated))
     most = {"clipped": clipped, "size": samples.dn.size, "clip": float(samples.clip)}
@@ -183,7 +183,7 @@ def _better_model(calibration: ReflectanceCalibration) -> Numbers | None:
     return {"model": model, "how": how, "better": LABELS[better], "name": better}
 
 
-def _not_compared(calibration: ReflectanceCalibration) -> Numbers | None:
+def _list_uncompared(calibration: ReflectanceCalibration) -> Numbers | None:
     left_out = [LABELS[model] for model in MODELS if model not in calibration.fits]
     return {"models": listed(left_out)} if left_out else None
 
@@ -195,7 +195,7 @@ def _sampling(calibration: ReflectanceCalibration) -> list[Numbers]:
     return quoted(convergence_in_words(p) for p in list(calibration.posteriors.values())[:1])
 
 
-def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
+def _coloured_highlight(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
     """Report unequal k_s under calibrated intensities, which is unexpected because a clear surface
     reflects the colour of the light. All lobes that predict equally well must agree.
     """
@@ -371,7 +371,7 @@ OF_CHANNEL = (
     ),
     Finding(
         "saturated",
-        _clipped,
+        _count_clipped,
         "{clipped} of {size} samples are saturated; they count as 'at least {clip:g} DN'.",
     ),
     Finding(
@@ -464,20 +464,20 @@ OF_ALL = (
     ),
     Finding(
         "not compared",
-        _not_compared,
+        _list_uncompared,
         "Not compared: {models}; --compare-all (compare_all=True in Python) fits these too.",
     ),
     Finding("sampling", _sampling, "{sentence}"),
     Finding(
         "colour of one lobe",
-        partial(_coloured, by_all=False),
+        partial(_coloured_highlight, by_all=False),
         "Whether the highlight is coloured depends on the lobe: k_s is larger in {high} than in"
         " {low} by {z:.0f} standard errors with {model}, but not with {other}, which predicts"
         " unseen lights as well. No conclusion is drawn.",
     ),
     Finding(
         "coloured",
-        partial(_coloured, by_all=True),
+        partial(_coloured_highlight, by_all=True),
         "The highlight is coloured: k_s red : green : blue = {red:.2f} : 1 : {blue:.2f}, {z:.0f}"
         " standard errors from neutral. A clear coat reflects the colour of the light, so either"
         " the surface is metallic, the intensities are wrong, or the highlight's shape differs from"

@@ -97,11 +97,11 @@ def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) 
     `turns`.
     """
 
-    def predicted(axis: int, step: float) -> np.ndarray:
+    def predict_turned(axis: int, step: float) -> np.ndarray:
         moved = _about(view, turns + step * np.eye(2)[axis], samples.form)
         return predict(vector, replace(moved, gamma=samples.gamma)).dn
 
-    moves = [predicted(axis, STEP) - predicted(axis, -STEP) for axis in (0, 1)]
+    moves = [predict_turned(axis, STEP) - predict_turned(axis, -STEP) for axis in (0, 1)]
     return np.stack(moves) / (2 * STEP)
 
 
@@ -294,7 +294,7 @@ def stated_errors(
     sizes, count = observation.uncertain, len(prediction.vector)
     deviation = np.asarray(samples.deviation, np.float64)
 
-    def by_light(values: np.ndarray) -> np.ndarray:
+    def sum_by_light(values: np.ndarray) -> np.ndarray:
         return np.bincount(light, values, lights)
 
     # DN, (shifts, samples): the change of the prediction by each error of one standard deviation
@@ -319,7 +319,7 @@ def stated_errors(
         shared["gamma_sd"] = (up - down)[None] / 2
     squares = {n: ((s / deviation) ** 2).sum(axis=0) for n, s in (own | shared).items()}
     gone = negligible(
-        [LeftOut(n, float(np.median(sizes[n])), distance(by_light(squares[n]))) for n in own]
+        [LeftOut(n, float(np.median(sizes[n])), distance(sum_by_light(squares[n]))) for n in own]
         + [LeftOut(n, getattr(observation, n), distance(squares[n].sum())) for n in shared]
     )
     turnable = own.pop("direction_sd", None) if turns is not None else None
@@ -328,19 +328,23 @@ def stated_errors(
         shared.pop(error.name, None)
         turnable = None if error.name == "direction_sd" else turnable
 
-    def left(values: np.ndarray) -> np.ndarray:
+    def marginalise_turns(values: np.ndarray) -> np.ndarray:
         if turnable is None:
             return values
         prior = observation.turn_prior
         return beyond_turns(values, turnable, samples, view.selection, lights, prior=prior)
 
-    slopes = left(scores_and_slopes(prediction, samples)[1])
+    slopes = marginalise_turns(scores_and_slopes(prediction, samples)[1])
     of_lights = [
-        np.stack([by_light(row * shift) for row in slopes], axis=1)
+        np.stack([sum_by_light(row * shift) for row in slopes], axis=1)
         for shifts in own.values()
-        for shift in left(shifts / deviation)
+        for shift in marginalise_turns(shifts / deviation)
     ]
-    common = [slopes @ shift for shifts in shared.values() for shift in left(shifts / deviation)]
+    common = [
+        slopes @ shift
+        for shifts in shared.values()
+        for shift in marginalise_turns(shifts / deviation)
+    ]
     return StatedErrors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(common).reshape(-1, count),

@@ -108,7 +108,7 @@ def fit_spread(
     expectation by three standard deviations. Without a known sensor, a constant and a relative term
     are fitted.
     """
-    bins = counts, squares, x, d = _binned(residual, signal, slope)
+    bins = counts, squares, x, d = _bin_samples(residual, signal, slope)
     if sensor is not None:
         excess = np.sum(counts * squares / variance(sensor, x, slope=d)) / counts.sum() - 1
         if excess < EXCESS * np.sqrt(2 / counts.sum()):
@@ -134,7 +134,7 @@ def flat_spread(
     """Return the variance model for a fit's weights: the variance of the sensor plus the constant
     that makes the residuals most likely.
     """
-    bins = counts, squares, _, d = _binned(residual, signal, slope)
+    bins = counts, squares, _, d = _bin_samples(residual, signal, slope)
     own = Spread(0.0, 0.0, None) if sensor is None else sensor
 
     def with_misfit(log_square: float) -> Spread:
@@ -160,7 +160,9 @@ def _deviance(
     return deviance
 
 
-def _binned(residual: OfSamples, signal: OfSamples, slope: OfSamples) -> tuple[np.ndarray, ...]:
+def _bin_samples(
+    residual: OfSamples, signal: OfSamples, slope: OfSamples
+) -> tuple[np.ndarray, ...]:
     """Return counts, mean squares, mean signals and rms slopes in bins of equally many samples."""
     order = np.argsort(signal)
     edges = np.unique(np.linspace(0, len(order), min(BINS, len(order)) + 1).astype(int))
@@ -244,7 +246,7 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
     """
     form, gammas = samples.form, GAMMAS if samples.form.free_gamma else (samples.gamma,)
     gamma, found = min(
-        ((gamma, _projected(samples, gamma)) for gamma in gammas), key=lambda tried: tried[1].cost
+        ((gamma, _project(samples, gamma)) for gamma in gammas), key=lambda tried: tried[1].cost
     )
     diffuse, ambient, specular = np.asarray(found.amplitudes[0])
     if form.model != "lambert" and not has_lobe(form.model):
@@ -261,7 +263,7 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
     return replace(samples, form=form), np.array(vector)
 
 
-def _projected(samples: Samples, gamma: float | None) -> SeparableFit:
+def _project(samples: Samples, gamma: float | None) -> SeparableFit:
     """Return the amplitudes of diffuse, ambient and lobe, and the log shape, for a given
     encoding.
     """
@@ -362,12 +364,12 @@ def optimum(start: Vector, samples: Samples) -> tuple[Prediction, Matrix, bool]:
 def _box_optimum(start: Vector, samples: Samples) -> Vector:
     """Return the point of least cost within `REACH` of a start, by L-BFGS-B."""
 
-    def scaled(away: Vector) -> tuple[float, Vector]:
+    def scaled_cost(away: Vector) -> tuple[float, Vector]:
         cost, gradient, _ = cost_and_information(predict(start + away, samples), samples)
         return cost / samples.dn.size, gradient / samples.dn.size
 
     found = scipy.optimize.minimize(
-        scaled,
+        scaled_cost,
         np.zeros(len(start)),
         jac=True,
         method="L-BFGS-B",

@@ -107,7 +107,7 @@ def local_geometry(
     normals, wi = jnp.asarray(normals), jnp.asarray(wi)
     frame = local_frame(as_vec(normals))
 
-    def seen(directions: Array) -> Vec:
+    def local_direction(directions: Array) -> Vec:
         return as_vec(to_local(frame, as_vec(directions)))
 
     turned = None
@@ -116,11 +116,13 @@ def local_geometry(
         across = local_frame(as_vec(middle / jnp.linalg.norm(middle, axis=1, keepdims=True)))
 
         def along(t: Array) -> Vec:
-            return seen(t[:, None] - jnp.sum(t[:, None] * wi, axis=2, keepdims=True) * wi)
+            return local_direction(
+                t[:, None] - jnp.sum(t[:, None] * wi, axis=2, keepdims=True) * wi
+            )
 
         turned = along(as_array(across.tangent)), along(as_array(across.bitangent))
     view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
-    return Geometry(seen(wi), seen(view), jnp.asarray(irradiance), turned)
+    return Geometry(local_direction(wi), local_direction(view), jnp.asarray(irradiance), turned)
 
 
 def directions_from_cosines(

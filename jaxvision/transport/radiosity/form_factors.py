@@ -127,9 +127,9 @@ def _meeting(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
 @_meeting.defjvp
 def _meeting_jvp(primals, tangents):
     """Differentiate `_meeting`. The derivative with respect to ln h is computed from `_rise`, and
-    the derivative with respect to the logarithm of the edge from the logarithms in `_perpendicular_sum`. The
-    derivative with respect to ln w is minus the sum of these two, because F depends only on ratios.
-    All terms of a sum have the same sign, so nothing cancels."""
+    the derivative with respect to the logarithm of the edge from the logarithms in
+    `_perpendicular_sum`. The derivative with respect to ln w is minus the sum of these two, because
+    F depends only on ratios. All terms of a sum have the same sign, so nothing cancels."""
     (edge, width, other), (d_edge, d_width, d_other) = primals, tangents
     w, h = (_ratio(side, edge) for side in (width, other))
     w2, h2 = w * w, h * h
@@ -143,8 +143,8 @@ def _meeting_jvp(primals, tangents):
 
 
 def _rise(h: Scalars, w: Scalars) -> Scalars:
-    """Return the derivative of `_perpendicular_sum` with respect to h, acot(h) - h acot(S) / S + h ln(1 - c) /
-    2, with S and c as in `_perpendicular_sum`."""
+    """Return the derivative of `_perpendicular_sum` with respect to h, acot(h) - h acot(S) / S + h
+    ln(1 - c) / 2, with S and c as in `_perpendicular_sum`."""
     s = safe_sqrt(w * w + h * h)
     longer = w * divide(w, s + h, s > 0)  # S - h
     angle = arctan2(jnp.ones_like(s), s)
@@ -210,7 +210,8 @@ def _perpendicular_sum(w: Scalars, h: Scalars) -> Scalars:
 
 
 def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
-    """Return ln(1 - b) with b = h^2 / (S^2 (1 + w^2)) and S^2 = w^2 + h^2, a term of `_perpendicular_sum`."""
+    """Return ln(1 - b) with b = h^2 / (S^2 (1 + w^2)) and S^2 = w^2 + h^2, a term of
+    `_perpendicular_sum`."""
     w2, h2 = w * w, h * h
     square = or_one(w2 + h2, w2 + h2 > 0)
     return _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * ((1 + w2 + h2) / square))
