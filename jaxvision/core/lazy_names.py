@@ -89,9 +89,9 @@ def _is_offered(folder: Path, inner: tuple[str, ...]) -> bool:
 
 
 def _records_with(name: str, offered: list[str]) -> list[str]:
-    """Return the records of scenes, views and sensors among `offered` that have a field."""
-    scene = import_module("jaxvision.scene")
-    kinds = [(one, getattr(scene, one)) for one in scene.__all__ if one in offered]
+    """Return the records of scenes, lights, views and sensors among `offered` that have a field."""
+    modules = [import_module(f"jaxvision.{name}") for name in ("scene", "lights")]
+    kinds = [(one, getattr(m, one)) for m in modules for one in m.__all__ if one in offered]
     return [
         f"jaxvision.{one}"
         for one, kind in kinds
