@@ -203,12 +203,8 @@ def find_entry(app, env, node, content):
     return None
 
 
-def setup(app):
-    notebook_pages(HERE / "notebooks")
-    gallery_pages(HERE / "gallery")
-    key_pages(HERE / "how-to")
-    pages = reference_pages(HERE / "reference")
-    places = {id(value): name for page in pages.values() for name, value in page.items()}
+def finder(places):
+    """Return a function from a name to the name of its entry, given {id of a value: entry}."""
 
     @cache
     def entry_of(name):
@@ -219,6 +215,17 @@ def setup(app):
             return None
         return places.get(id(value))
 
+    return entry_of
+
+
+def setup(app):
+    notebook_pages(HERE / "notebooks")
+    gallery_pages(HERE / "gallery")
+    key_pages(HERE / "how-to")
+    pages = reference_pages(HERE / "reference")
+    places = {id(value): name for page in pages.values() for name, value in page.items()}
+
+    entry_of = finder(places)
     app.entry_of = entry_of
     app.entry = lambda value: places.get(id(value))
     app.add_role("api", Entry())

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import matplotlib.pyplot as plt
@@ -208,6 +209,26 @@ def test_every_public_name_has_one_entry():
         assert all(
             getattr(sys.modules[n.rpartition(".")[0]], n.rpartition(".")[2]) for n in entries
         )
+
+
+def test_functions_in_the_table_of_errors_link_to_their_rows(tmp_path):
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("the `docs` extra is not installed")
+    site = module("site_pages")
+    pages = module("reference_pages").reference_pages(tmp_path)
+    places = {id(value): name for page in pages.values() for name, value in page.items()}
+    rows = site.rows_of_errors(site.finder(places))
+    names = set(re.findall(r"^\| `([\w.]+)", (DOCS / "errors.md").read_text(), re.MULTILINE))
+    public = {f"{package.__name__}.{name}" for package in (jaxvision, fitting) for name in names}
+    wanted = {places[id(value)] for name, value in defined(jaxvision) if name in public}
+    wanted |= {places[id(value)] for name, value in defined(fitting) if name in public}
+    assert len(wanted) > 200
+    assert wanted <= rows.keys()
+    app = SimpleNamespace(rows_of_errors=rows)
+    for name in wanted:
+        lines = []
+        site.link_errors(app, "function", name, None, None, lines)
+        assert rows[name] in lines[1]
 
 
 def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):

@@ -68,11 +68,9 @@ page.
 - **Not covered**: results below the smallest normal number, which may be 0. Random draws and
   iterative solvers are in the last tables.
 
-JAX publishes the errors of its elementary functions, at every float32 and at random float64
-numbers, on its page [Numerical accuracy](https://docs.jax.dev/en/latest/accuracy.html). The
-library's functions call these elementary functions. Some of them are much less accurate in one
-region than elsewhere: the error of JAX's `log1p` in float64 near -0.4 is 128 ULP. In such regions
-`core/_numerics.py` uses another formula.
+JAX publishes the errors of its elementary functions on its page [Numerical
+accuracy](https://docs.jax.dev/en/latest/accuracy.html). Some of them are much less accurate in one
+region, such as `log1p` in float64 near -0.4 (128 ULP). There the library uses another formula.
 
 ## Functions with an oracle
 
