@@ -45,7 +45,9 @@ from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .reflectance.paths import check_files, check_index_of, check_one_rig
 from .report.progress import Reporter
 
-BitsOfTable = Annotated[int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)]
+BitsOfTable = Annotated[
+    int | None, typer.Option(help="ADC bits of the camera, for a CSV.", min=1, max=16)
+]
 Channel = Annotated[
     str, typer.Option(help="Site of a mosaic, or tap, to use (default: each separately).")
 ]
@@ -74,7 +76,7 @@ def noise(
         ),
     ] = "3.1",
 ) -> None:
-    """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
+    """Calibrate a camera's noise by photon transfer: the EMVA 1288 sheet with standard errors."""
 
     def calibrate_noise(reporter: Reporter) -> folders.Found:
         asked = {"bits": bits, "channel": channel, "release": release}
@@ -124,7 +126,8 @@ def predict(
 
 @command("jaxvision-fit response stack --out response")
 def response(options: Options, path: RigPath) -> None:
-    """Gamma, the whole response curve and the merged radiance map of an exposure stack."""
+    """Estimate gamma and the whole response curve of a camera from an exposure stack, and merge the
+    stack into a radiance map."""
 
     skipped: list[str] = []
 
@@ -262,8 +265,8 @@ def lights(
         ),
     ] = 0.5,
 ) -> None:
-    """Directions or positions of lights and their intensities from photographs of a ball, with one
-    joint covariance. --out writes lights.npz and a rig that brdf and joint read."""
+    """Estimate directions or positions of lights, and their intensities, from photographs of a
+    ball, with one joint covariance. --out writes lights.npz and a rig that brdf and joint read."""
 
     def calibrate_lights(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the covariance is Gaussian")
@@ -332,8 +335,8 @@ def joint(
 
 @command("jaxvision-fit demo --out demo")
 def demo(options: Options) -> None:
-    """Simulate a lab afternoon to files, calibrate from the files alone, and compare with the
-    truth, in the folder jaxvision-demo or --out."""
+    """Simulate images of an afternoon in a laboratory, calibrate from these images alone, and
+    compare the results with the simulated values. All files are in jaxvision-demo or --out."""
     out = options.out or Path("jaxvision-demo")
     options = replace(options, out=out)
 

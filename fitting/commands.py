@@ -49,9 +49,7 @@ class Options:
         typer.Option(help="Write report, results and chains to this folder.", metavar="DIR"),
     ] = None
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
-    mcmc: Annotated[
-        bool, typer.Option("--mcmc", help="Sample the posterior with emcee instead of Laplace.")
-    ] = False
+    mcmc: Annotated[bool, typer.Option("--mcmc", help="Sample the posterior with emcee.")] = False
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
     steps: Annotated[
         int | None,

@@ -390,7 +390,7 @@ def effects(
     free: Annotated[
         list[str] | None,
         typer.Option(
-            help="Free parameter of a fit, with its range; may be given again.",
+            help="Free parameter of a fit, with its range; can be repeated.",
             metavar="NAME=LOW,HIGH",
         ),
     ] = None,

@@ -37,7 +37,7 @@ _WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
     list[str] | None,
-    typer.Option(help="Measure this setting only; may be given again.", metavar="NAME"),
+    typer.Option(help="Measure this setting only; can be repeated.", metavar="NAME"),
 ]
 PageFolder = Annotated[
     Path | None,
