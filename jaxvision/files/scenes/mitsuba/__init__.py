@@ -38,7 +38,7 @@ def scene_of(file: Path) -> dict[str, Any]:
     the first part that is wrong or not supported."""
     root = root_of(file)
     root.must_be_read(tags=_READ)
-    sensors = root.within("sensor")
+    sensors = root.children("sensor")
     if not sensors:
         raise InputError("has no <sensor>; add one.")
     if len(sensors) > 1:
@@ -46,12 +46,12 @@ def scene_of(file: Path) -> dict[str, Any]:
     camera, samples = camera_of(sensors[0])
     content: dict[str, Any] = {
         "camera": camera,
-        "render": _render(root.only("integrator"), samples, old=root.old),
+        "render": _render(root.only_child("integrator"), samples, old=root.old),
         "material": {},
         "surface": [],
-        "light": [light_entry(node) for node in root.within("emitter")],
+        "light": [light_entry(node) for node in root.children("emitter")],
     }
-    for node in root.within("shape"):
+    for node in root.children("shape"):
         surface = _surface(node, content["material"])
         content["surface"].append(surface)
     return content
@@ -59,7 +59,7 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
     """Convert a shape with its BSDF and area light; with a light alone, it is black."""
-    bsdf, emitter = node.only("bsdf"), node.only("emitter")
+    bsdf, emitter = node.only_child("bsdf"), node.only_child("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False
     if bsdf is not None or emitter is None:

@@ -19,7 +19,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     """Return the keys of a `<sensor>` for `[camera]`, including `kind`, in m and degrees, and the
     samples per pixel. Raise `InputError` for a camera without a counterpart."""
     kind = node.must_be(*SENSORS)
-    rows, columns = _resolution(node.only("film"), node.label)
+    rows, columns = _resolution(node.only_child("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     if kind == "orthographic":  # a scaling along the axis does not change the picture
         across, along = lengths_of_axes(to_world)[[0, 2]]
@@ -36,7 +36,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
         if kind == "thinlens":
             del made["field_of_view"]
             made |= _lens(node, half_width, columns)
-    sampler, count = node.only("sampler"), 4
+    sampler, count = node.only_child("sampler"), 4
     if sampler is not None:
         count = sampler.take("sample_count", int, count)
     for name in ("principal_point_offset_x", "principal_point_offset_y"):
@@ -70,7 +70,7 @@ def _resolution(film: Node | None, label: str) -> tuple[int, int]:
         columns, rows = film.take("width", int, columns), film.take("height", int, rows)
         if min(rows, columns) < 1:
             raise InputError(f"{label}: width and height must be at least 1; correct them.")
-        kernel = film.only("rfilter")
+        kernel = film.only_child("rfilter")
         formats = ("pixel_format", "component_format", "file_format", "sample_border", "banner")
         film.must_be_read(tags=("rfilter",), without=formats)
     if kernel is None or kernel.kind != "box":

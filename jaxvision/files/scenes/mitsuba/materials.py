@@ -43,7 +43,7 @@ def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if (kind := node.must_be(*_FAMILIES, "twosided", "normalmap")) in ("twosided", "normalmap"):
-        inner = node.only("bsdf")
+        inner = node.only_child("bsdf")
         if inner is None:
             raise node.wrong("holds no BSDF; put one within.")
         made, two_sided = material_of(inner)
