@@ -198,10 +198,10 @@ class Camera(_Known):
     that read them (`taps`). Both repeat after a cell whose rows and columns are the least common
     multiples of 2 x 2 and `taps`. black_level, saturation, gain and read_noise are each one number,
     or a list with one number for each site of this cell, in reading order from the first pixel of
-    the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of
-    three, or of three for each site. If each part of a frame has its own amplifier, the order is
-    that of the parts' cells put side by side: the first row of the left cell, then the first row of
-    the right one.
+    the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. For RGB images the list has
+    three numbers, or three for each site. If each part of a frame has its own amplifier, imagine
+    the cells of the parts side by side: the first row of the left cell comes first, then the first
+    row of the right cell.
 
     Attributes:
         black_level: DN without light.

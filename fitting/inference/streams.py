@@ -187,7 +187,8 @@ def _row_leaves(
 
 
 def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Rows]:
-    """Yield the pieces of the data in order, from a reading that has begun or a new one."""
+    """Yield the pieces of the data in order. A pass that has begun is continued; otherwise a new
+    pass begins."""
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
         own = _rowwise_arrays(stream, stream.beside)
@@ -219,7 +220,7 @@ def _update_checksum(mark: int, rows: Rows) -> int:
 
 
 def _check_inputs(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
-    """Refuse inputs from a function that have another form than in its first piece."""
+    """Refuse inputs whose structure differs from the first piece that the function yielded."""
     alike = jax.tree.structure(beside) == jax.tree.structure(stream.beside)
     if alike:
         pairs = zip(jax.tree.leaves(beside), jax.tree.leaves(stream.beside), strict=True)

@@ -164,9 +164,9 @@ def reduce_images(
 ) -> Cells:
     """Reduce images to the cells of a grid, about a reference model. The natural values `reference`
     of that model must include gain and read noise. If the values include unequal pixel gains, the
-    cells also contain products of the deviations in two images. `within` is the number of pixels
-    (images, cells) of the cells that may be used, 0 for all others; None allows all cells.
-    """
+    cells also contain products of the deviations in two images. `within`, (images, cells), is the
+    number of pixels of each cell that may be used, and 0 for each cell that may not; None allows
+    all cells."""
     observation, channel, form = grid.observation, grid.channel, grid.form
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     surface = tuple(names(surface_parameters(form)))

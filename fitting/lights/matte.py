@@ -12,9 +12,8 @@ neighbouring pixels are correlated, the design effect of sectors of the ball red
 number of pixels.
 
 A second fit has one more unknown that all lights share, the power p of m = |g| (n.l)^p. A gamma, a
-response that is not linear and a surface that is not Lambertian change it from 1, and the outline
-absorbs most of their residuals if p is fixed.
-"""
+nonlinear response or a surface that is not Lambertian make p differ from 1. If p were fixed at 1,
+the outline would absorb most of the residuals."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -126,8 +125,8 @@ def moved_image(found: Shading, spreads: float) -> int | None:
 
 
 def odd_image(found: Shading, spreads: float) -> int | None:
-    """Return the image that differs most from the others, by the constant that it alone would add
-    to its shading relative to its largest signal; None if all are alike."""
+    """Return the image whose constant added to the shading, relative to its largest signal, differs
+    most from the others; None if no image stands out."""
     relative = found.offset / np.linalg.norm(found.g, axis=1)
     off = np.abs(relative - np.median(relative))
     worst = int(np.argmax(off))

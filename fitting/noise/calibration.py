@@ -370,8 +370,9 @@ def _range_of_linearity(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) 
 
 
 def steady_linearity(calibration: NoiseCalibration) -> tuple[float, float]:
-    """Return the linearity errors LE_min and LE_max, %, by a fit that has both a curved response
-    and a drifting light, if the light is steady: at the most likely parameters without a drift."""
+    """Return the linearity errors LE_min and LE_max, %, for a steady light, from a fit that has
+    both a curved response and a drifting light. The parameters are the most likely ones without a
+    drift."""
     fit = calibration.chosen
     vector, place = np.array(fit.optimum.vector), names(fit.space).index(LIGHT_DRIFT.name)
     of_drift = fit.covariance[:, place]
@@ -425,7 +426,7 @@ def _widened_by_lamp(
     sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
 ) -> tuple[Estimate, ...]:
     """Return the data sheet with the error of a drifting lamp added to the figures per photon. The
-    linearity errors of a fit with a drift have its uncertainty already."""
+    linearity errors of a fit with a drift already include the uncertainty of the drift."""
     relative = 0.0 if fit is None else lamp_error(fit)
     if not relative:
         return sheet

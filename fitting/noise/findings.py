@@ -433,8 +433,9 @@ def _exact(calibration: NoiseCalibration) -> Numbers | None:
 
 def _dark_variance_floor(bent: bool, calibration: NoiseCalibration) -> Numbers | None:
     """Return the standard's minimum of the dark variance if the dark variance, extrapolated to zero
-    exposure, is below that minimum; else None. With `bent`, the finding is for series in which each
-    single dark is above the minimum. Without `bent`, it is for all other series."""
+    exposure, is below that minimum; else None. The extrapolated variance may be below the minimum
+    although the variance of every dark is above it. `bent` selects the finding for this case, and
+    False the finding for all other cases."""
     measurement = calibration.measurement
     least = least_dark_variance(measurement)
     above = float(np.min(np.asarray(measurement.dark.variance))) > least

@@ -5,11 +5,10 @@ with the distance from the centre.
 If neighbouring columns have different amplifiers, or if pixels form a colour mosaic, properties of
 rows or columns repeat with a period of 2 to 8. Therefore means are computed for classes of pixels:
 by row and by column, each modulo 16 and modulo 30, and by position in a cell of 4 x 4. For a period
-p, classes whose row or column numbers are equal modulo p are replicates. The scatter of replicates
-comes from noise and from differences of rows or columns without this period. Therefore an F-test of
-the differences between the p groups against this scatter detects the period. If two classes have
-different gains K, a common K is the gain of neither class.
-"""
+p, classes whose numbers are equal modulo p form one group and are replicates of each other. The
+scatter of replicates comes from noise and from differences of rows or columns without this period.
+Therefore an F-test of the differences between the p groups against this scatter detects the period.
+If two classes have different gains K, a common K is the gain of neither class."""
 
 from dataclasses import dataclass
 from functools import lru_cache

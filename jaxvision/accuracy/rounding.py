@@ -129,7 +129,8 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
 
 
 def _digits_of(values: np.ndarray) -> np.ndarray:
-    """Return the digits that all runs, (runs, ...), share; all of float32 if equal."""
+    """Return the number of digits in which all runs, (runs, ...), agree, at most those of
+    float32."""
     values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
     if not np.size(values):
         return np.full(values.shape[1:], WHOLE)

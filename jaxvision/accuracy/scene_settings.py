@@ -155,7 +155,7 @@ def measured_together(
 
 
 def _add_base(knob: Knob, base: Any) -> Knob:
-    """Return the approximation parameter with one more value to measure, the scene file's own."""
+    """Add the value in the scene file to the values of a knob that are measured."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
     if base >= max(knob.reference):

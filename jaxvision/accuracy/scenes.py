@@ -85,7 +85,8 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the values of all knobs while another is measured, with at most 16 samples."""
+    """Return the value that each setting keeps while another setting is measured. There are at most
+    16 samples, to save time."""
     found = {}
     for name in (name for name in names if name not in SEPARATE_KNOBS):
         value = getattr(settings, "order" if name == "light samples" else name)

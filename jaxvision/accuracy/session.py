@@ -165,7 +165,8 @@ class Session:
         return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """Predict the time, s, of further calls, for a new setting from those before."""
+        """Predict the time of a further call of a setting, s. For a new setting the prediction uses
+        the settings before."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:
             return calls * known.seconds

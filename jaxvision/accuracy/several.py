@@ -143,7 +143,8 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 
 
 def _pareto(curve: Curve, once: float) -> Front:
-    """Return Pareto-optimal settings as (setting, bound of the error, time over the base's)."""
+    """Return the Pareto-optimal settings of a curve, as (setting, error bound, time divided by the
+    time of the setting in `base`)."""
     known = [trial for trial in candidates(curve) if np.isfinite(trial.error_high)]
     best = [known[i] for i in pareto_of(known, by="error_high")]
     return [(trial.setting, trial.error_high, trial.seconds / max(once, 1e-12)) for trial in best]

@@ -14,11 +14,10 @@ the directions w: the share of the light from wo' that the body reflects and the
 R and S are the means of r and of r a_o under uniform light. The light that the interface has
 returned is assumed to be distributed as r, so that the body reflects a_i a_o / (pi R) of it, and
 further reflections form a geometric series of the ratio S / R. This is exact for a Lambertian body
-under a smooth interface. For every reciprocal body the model is reciprocal, and of the light that
-the interface transmits at most the largest albedo of the body leaves again. A white body under a
-coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broad glossy bodies, and
-to 3e-3 for a glossy body of roughness 0.15. In the local frame the normal is +z.
-"""
+under a smooth interface. The model is reciprocal if the body is. The coat returns at most the share
+A of the light that its interface transmits, where A is the largest albedo of the body. A white body
+under a coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broad glossy
+bodies, and to 3e-3 for a glossy body of roughness 0.15. In the local frame the normal is +z."""
 
 from typing import Annotated, Literal
 

@@ -94,8 +94,8 @@ class Choice:
 
     def decide(self) -> None:
         """Drop the effects that the tolerance allows. Single effects come first, by bound per saved
-        time. The ladders follow: groups of alternative simplifications, such as limits on path
-        length, of which at most one is chosen."""
+        time. Then the ladders are tried. A ladder is a group of alternative simplifications, such
+        as limits on path length; at most one of them is chosen."""
         plain = [row for row in self.chain.rows if not row.ladder and row.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)

@@ -235,8 +235,8 @@ class Pixel:
 
     @property
     def rank_of_counts(self) -> Rank:
-        """The rank of a bound by Poisson counts, which the brighter-fatter effect makes
-        estimates."""
+        """The rank of bounds that assume Poisson counts. With the brighter-fatter effect counts are
+        not Poisson, so these bounds are estimates."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property

@@ -147,7 +147,7 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored_radiance(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """Return the largest radiance, (bands,), that mirrors show once a lamp hides it no longer."""
+    """Return the largest radiance, (bands,), that mirrors may show in place of a dropped lamp."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]

@@ -151,7 +151,8 @@ def icc_differences(profile: bytes, name: str) -> list[str]:
 
 
 def _light_of_half(curve: bytes) -> float | None:
-    """Return the light of half the largest code by a curve of a profile; None without one."""
+    """Return the relative light that the tone curve of an ICC profile gives for half of the largest
+    code; None if the profile has no curve."""
     kind, count = curve[:4], int.from_bytes(curve[8:12], "big")
     if kind == b"para" and len(curve) >= 16:
         numbers = np.frombuffer(curve, ">i4", (len(curve) - 12) // 4, 12) / 65536

@@ -1,8 +1,8 @@
 """Read photometric files of commercial lamps: IES LM-63 (1986 to 2019) and EULUMDAT.
 
 - An `.ies` file may have type A, B or C, lengths in feet or metres, ballast factors, and absolute
-  photometry (-1 lm). TILT may be NONE or INCLUDE; of an included table, the factor for an upright
-  lamp is used.
+  photometry (-1 lm). TILT may be NONE or INCLUDE. From an included table only the factor for an
+  upright lamp is used.
 - An `.ldt` file (EULUMDAT) may have any of the five symmetries. Only the first set of lamps is
   used.
 

@@ -297,7 +297,8 @@ def _given_normals(scene) -> np.ndarray | None:
 
 
 def _turned_normals(normals: np.ndarray, matrix: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Return unit normals after an affine map of the points; others for those without a length."""
+    """Return unit normals after an affine map of the points. A normal without a length becomes the
+    normal in `otherwise`."""
     turned = np.asarray(normals, float) @ np.linalg.inv(matrix[:3, :3])
     length = np.linalg.norm(turned, axis=1, keepdims=True)
     known = np.isfinite(length) & (length > 0)
@@ -362,7 +363,7 @@ def _source(file: Path) -> dict[str, Any]:
 
 
 def _unused_of_obj(text: str) -> list[str]:
-    """Return what an OBJ text holds besides the triangles of one mesh, in words."""
+    """List, in words, the contents of an OBJ text other than the triangles of one mesh."""
     materials = set(re.findall(r"^[ \t]*usemtl[ \t]+(\S+)", text, re.MULTILINE))
     several = [f"its {len(materials)} materials (usemtl)"] if len(materials) > 1 else []
     if _OBJ_COLOURS.search(text):

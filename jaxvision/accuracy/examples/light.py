@@ -42,7 +42,8 @@ def _box() -> SceneFile:
 
 
 def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
-    """Make a problem of paths in the Cornell box, without the lamp, whose edges dominate."""
+    """Make a problem of path tracing in the Cornell box. The rows of the picture with the lamp are
+    left out, because errors at the lamp's edges would dominate."""
     view = change_resolution(_box().view, (SIDE, SIDE))
 
     def make(setting: Any) -> Callable[[jax.Array], jax.Array]:

@@ -102,8 +102,8 @@ def read_merl(
 
 
 def _name_implausible(file: Path, values: np.ndarray) -> None:
-    """Warn if a surface lit along its normal reflects more light than it receives, or none that is
-    seen. The half and difference angles of (normal, wo) are both half the angle of wo."""
+    """Warn if a surface lit along its normal reflects more light than it receives, or no visible
+    light. The half and difference angles of (normal, wo) are both half the angle of wo."""
     angles = (np.arange(ANGLES) + 0.5) * (np.pi / 2 / ANGLES)
     share = angles / np.pi  # of 90 degrees
     half = (np.sqrt(share) * values.shape[0]).astype(int)

@@ -153,7 +153,8 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
 
 
 def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
-    """Return the equal sectors of azimuth by symmetry; refuse values out of range."""
+    """Check that the values are in range, and return the number of equal sectors into which
+    symmetry divides the azimuths."""
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
