@@ -16,17 +16,18 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, takes_range, warn_caller
 from ..core._numerics import divide
-from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count, is_known
+from ..core._types import AMOUNT, Colour, Image, Range, Scalar, Scalars, check_count, is_known
 from ..filters import correlate
-from ..scene import AnnularAperture, Diffraction, ThinLens, Wavefront
+from ..scene import Diffraction, ThinLens, Wavefront
 from ._bessel import jinc
 from .overlap import overlap_of_discs
 from .thin_lens import _reciprocal
 from .views import sensor_vergence
-from .wavefront import STOP, wavefront_kernel
+from .wavefront import wavefront_kernel
 
 # The first zero of J_1, divided by pi.
 _FIRST_ZERO = 1.2196698912665045
+_STOP = Range(0, float(np.nextafter(1, 0)), nan=True)  # diameter of a central stop
 _WIDE = 3.0  # pixel size in lambda N; larger pixels are integrated along their edges
 
 
@@ -216,9 +217,7 @@ def lens_kernel(
         working,
         pixel_pitch,
         size=size,
-        obstruction=(
-            view.aperture.obstruction if isinstance(view.aperture, AnnularAperture) else None
-        ),
+        aperture=view.aperture,
         order=diffraction.order,
         samples=diffraction.samples,
     )
@@ -264,7 +263,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance:
 
 
 @takes_numbers
-@takes_range(wavelength=AMOUNT, f_number=AMOUNT, obstruction=STOP)
+@takes_range(wavelength=AMOUNT, f_number=AMOUNT, obstruction=_STOP)
 def diffraction_mtf(
     frequency: Scalars,
     wavelength: Scalars,

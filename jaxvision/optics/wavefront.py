@@ -4,9 +4,10 @@ With the wavefront error W, m, over points rho of the unit disc of the pupil, a 
 
     |U(x)|^2,   U(x) = integral exp(2 pi i W(rho) / lambda - pi i x . rho / (lambda N)) d^2 rho
 
-with x the position on the sensor in m, wavelength lambda and f-number N. W = 0 gives the Airy
-pattern. For a large W, each point of the pupil sends its light to 2 N grad W, as in geometrical
-optics.
+with x the position on the sensor in m, wavelength lambda and f-number N. If the aperture has
+another shape, the integral extends over its points, relative to the radius of the lens. W = 0 gives
+the Airy pattern of a round aperture. For a large W, each point of the pupil sends its light to 2 N
+grad W, as in geometrical optics.
 
 Source:
     Born and Wolf, Principles of Optics, sections 9.1 to 9.3; Noll, "Zernike polynomials and
@@ -21,9 +22,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, takes_range
-from ..core._types import DIVISOR, Range, Scalar, Scalars, check_count, is_known
+from ..core._types import DIVISOR, Scalar, Scalars, check_count, is_known
+from ..scene import (
+    AnnularAperture,
+    Aperture,
+    CircularAperture,
+    RectangularAperture,
+)
+from .aperture import aperture_corners
 
-STOP = Range(0, float(np.nextafter(1, 0)), nan=True)  # diameter of a central stop
 _MOST = 66  # number of terms of order up to 10
 
 
@@ -76,7 +83,6 @@ def zernike(x: Scalars, y: Scalars, *, count: int) -> Float[Array, "... count"]:
     wavelength=DIVISOR,
     f_number=DIVISOR,
     pixel_pitch=DIVISOR,
-    obstruction=STOP,
 )
 def wavefront_kernel(
     coefficients: Float[Array, " terms"],
@@ -85,7 +91,7 @@ def wavefront_kernel(
     pixel_pitch: Scalar,
     *,
     size: int,
-    obstruction: Scalar | None = None,
+    aperture: Aperture | None = None,
     order: int = 8,
     samples: int = 128,
 ) -> Float[Array, "..."]:
@@ -93,29 +99,29 @@ def wavefront_kernel(
     aberrations.
 
     The pupil is integrated by Gauss-Legendre quadrature along its chords, which has no error at the
-    rim. The kernel is rescaled to sum 1, which adds the light outside the window to its pixels.
+    rim, and between the corners of a polygon. The kernel is rescaled to sum 1, which adds the light
+    outside the window to its pixels.
 
     Args:
         coefficients: (terms,) m, of the terms 1, 2, ... of `zernike`; x of the pupil is to the
-            right in the picture and y down. The RMS wavefront error is the root of the sum of the
-            squares of all coefficients except the first. The coefficient c of term 2 moves the
-            image by 4 N c to the right.
+            right in the picture and y down. The RMS wavefront error over a round aperture is the
+            root of the sum of the squares of all coefficients except the first. The coefficient c
+            of term 2 moves the image by 4 N c to the right.
         wavelength: () or (bands,) m; (bands, lines) for bands of several equally strong lines.
         f_number: () working f-number N, no unit.
         pixel_pitch: () m.
         size: side of the kernel in pixels, odd, static.
-        obstruction: () in [0, 1), diameter of a central stop over that of the pupil; None for none.
+        aperture: shape of the pupil; None for a disc.
         order: nodes per side of a pixel, static, at least 8 / 3 pitch / (lambda N).
-        samples: nodes along and across the pupil, static; without aberrations at least 24 + .43 pi
-            size pitch / (lambda N).
+        samples: nodes along and across the pupil (between two corners of a polygon), static;
+            without aberrations at least 24 + .43 pi size pitch / (lambda N) for a disc.
 
     Returns:
         (size, size), or (size, size, bands); no unit, of sum 1.
 
     Raises:
-        ValueError: `size` is even, `wavelength`, `f_number` or `pixel_pitch` is not above 0,
-            `obstruction` is outside [0, 1), or `order` or `samples` are too few for arguments that
-            are known.
+        ValueError: `size` is even, `wavelength`, `f_number` or `pixel_pitch` is not above 0, or
+            `order` or `samples` are too few for arguments that are known.
 
     Example:
         Half a wave of defocus takes light from the middle.
@@ -130,18 +136,11 @@ def wavefront_kernel(
     check_count("order", order, 1)
     check_count("samples", samples, 1)
     dtype = coefficients.dtype
-    t, along = np.polynomial.legendre.leggauss(samples)
-    t, along = np.pi / 2 * t, np.pi / 2 * along * np.cos(np.pi / 2 * t) ** 2
-    v, across = np.polynomial.legendre.leggauss(samples)
-    # chords across x = sin t, from -cos t to cos t
-    x, y = np.broadcast_to(np.sin(t)[:, None], (samples, samples)), np.cos(t)[:, None] * v
-    weight = along[:, None] * across
-    parts: list[tuple[Scalar | float, Array]] = [(1.0, _terms(x, y, 1.0, coefficients))]
-    if obstruction is not None:
-        parts.append((obstruction, _terms(x, y, obstruction, coefficients)))
-    if all(is_known(z) for z in (parts[0][1], wavelength, f_number, pixel_pitch)):
-        error = np.asarray(parts[0][1], float)
-        _check_nodes(size, order, error, wavelength, f_number, pixel_pitch)
+    x, y, weight = _chords(CircularAperture() if aperture is None else aperture, samples, dtype)
+    error = zernike(x[..., None], y, count=len(coefficients)) @ coefficients
+    if all(is_known(z) for z in (error, x, wavelength, f_number, pixel_pitch)):
+        parts = (np.asarray(z, float) for z in (x, y, error))
+        _check_nodes(size, order, *parts, wavelength, f_number, pixel_pitch)
     nodes, share = np.polynomial.legendre.leggauss(order)
     places = jnp.asarray((np.arange(size)[:, None] - size // 2 + nodes / 2).ravel(), dtype)
     share = jnp.asarray(np.tile(share, size), dtype)
@@ -149,15 +148,13 @@ def wavefront_kernel(
     def kernel_at(wavelength: Scalar) -> Float[Array, "size size"]:
         scale = jnp.pi * pixel_pitch / (wavelength * f_number)
         fields = []
-        for radius, error in parts:
-            amplitude = jnp.asarray(weight, dtype)
-            pupil = _polar(amplitude, 2 * jnp.pi / wavelength * error)
-            rows = jnp.asarray(y, dtype)[:, None, :] * (radius * scale * places)[None, :, None]
+        for part in range(len(x)):
+            pupil = _polar(weight[part], 2 * jnp.pi / wavelength * error[part])
+            rows = y[part][:, None, :] * (scale * places)[None, :, None]
             inner = jnp.einsum("jk,jyk->jy", pupil, _polar(1.0, -rows))
-            columns = jnp.asarray(np.sin(t), dtype)[:, None] * (radius * scale * places)[None, :]
-            area = jnp.asarray(radius * radius, dtype)
-            fields.append(jnp.einsum("jy,jx->yx", inner, _polar(area, -columns)))
-        field = fields[0] if obstruction is None else fields[0] - fields[1]
+            columns = x[part][:, None] * (scale * places)[None, :]
+            fields.append(jnp.einsum("jy,jx->yx", inner, _polar(1.0, -columns)))
+        field = sum(fields[1:], fields[0])
         light = (field.real**2 + field.imag**2) * share[:, None] * share[None, :]
         kernel = light.reshape(size, order, size, order).sum((1, 3))
         return kernel / kernel.sum()
@@ -173,17 +170,64 @@ def _polar(radius: Array | float, phase: Array) -> Array:
     return jax.lax.complex(radius * jnp.cos(phase), radius * jnp.sin(phase))
 
 
-def _terms(
-    x: np.ndarray, y: np.ndarray, radius: Scalar | float, coefficients: Float[Array, " terms"]
-) -> Float[Array, "samples samples"]:
-    """Return the wavefront error W in m at positions of the pupil."""
-    places = (radius * jnp.asarray(z, coefficients.dtype) for z in (x, y))
-    return zernike(*places, count=len(coefficients)) @ coefficients
+def _chords(
+    aperture: Aperture, samples: int, dtype: np.dtype
+) -> tuple[
+    Float[Array, "parts samples"],
+    Float[Array, "parts samples samples"],
+    Float[Array, "parts samples samples"],
+]:
+    """Return nodes x of a quadrature over the aperture, nodes y on the chord through each x, and
+    their weights. A stop is a part with negative weights."""
+    nodes, weights = np.polynomial.legendre.leggauss(samples)
+    if isinstance(aperture, CircularAperture | AnnularAperture):
+        # chords across x = sin t, from -cos t to cos t
+        t = np.pi / 2 * nodes
+        chord = np.cos(t)[:, None]
+        x, y = np.sin(t)[None], (chord * nodes)[None]
+        weight = (np.pi / 2 * chord * chord * weights[:, None] * weights)[None]
+        x, y, weight = (jnp.asarray(z, dtype) for z in (x, y, weight))
+        if isinstance(aperture, CircularAperture):
+            return x, y, weight
+        stop = aperture.obstruction
+        x, y = (jnp.concatenate([z, stop * z]) for z in (x, y))
+        return x, y, jnp.concatenate([weight, -stop * stop * weight])
+    nodes, weights = (jnp.asarray(z, dtype) for z in (nodes, weights))
+    corners = jnp.stack(aperture_corners(aperture, dtype))
+    if isinstance(aperture, RectangularAperture):
+        ends = jnp.stack([-aperture.width, aperture.width]).astype(dtype)
+    else:
+        ends = jnp.sort(corners[0])
+
+    def chord(x: Scalar) -> tuple[Array, Array]:
+        low, high = _ends_of_chord(corners, x)
+        return (high + low) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights
+
+    def part(start: Scalar, end: Scalar) -> tuple[Array, Array, Array]:
+        x = (end + start) / 2 + (end - start) / 2 * nodes
+        y, along = jax.vmap(chord)(x)
+        return x, y, ((end - start) / 2 * weights)[:, None] * along
+
+    return jax.vmap(part)(ends[:-1], ends[1:])
+
+
+def _ends_of_chord(corners: Float[Array, "2 corners"], x: Scalar) -> tuple[Scalar, Scalar]:
+    """Return the smallest and the largest y at x in a convex polygon that contains 0. A side with
+    the outward normal n is at n . (x, y) = d."""
+    (x0, y0), (x1, y1) = corners, jnp.roll(corners, -1, axis=1)
+    across, along = y1 - y0, x0 - x1
+    upright = jnp.abs(along) <= 1e-6 * jnp.abs(across)
+    crossing = (across * (x0 - x) + along * y0) / jnp.where(upright, 1, along)
+    low = jnp.where(~upright & (along < 0), crossing, -jnp.inf)
+    high = jnp.where(~upright & (along > 0), crossing, jnp.inf)
+    return low.max(), high.min()
 
 
 def _check_nodes(
     size: int,
     order: int,
+    x: np.ndarray,
+    y: np.ndarray,
     error: np.ndarray,
     wavelength: Scalars,
     f_number: Scalar,
@@ -199,15 +243,17 @@ def _check_nodes(
             f"order = {order}: a pixel of {wide:.3g} lambda N needs at least "
             f"{math.ceil(8 / 3 * wide)} nodes."
         )
-    samples = len(error)
+    samples = x.shape[-1]
     nodes = np.polynomial.legendre.leggauss(samples)[0]
-    cosine = np.cos(np.pi / 2 * nodes)[:, None]
     own, of_image = 2 * np.pi / float(np.min(wavelength)), np.pi / 2 * size * wide
-    steepest = 0.0
-    for axis, chord in ((0, np.pi / 2 * cosine), (1, cosine)):
-        slope = own * np.abs(np.gradient(error, nodes, axis=axis)) + of_image * chord
-        near_ends = np.sqrt(1 - nodes**2)
-        steepest = max(steepest, float((slope * (near_ends if axis else near_ends[:, None])).max()))
+    near_ends = np.sqrt(1 - nodes**2)
+    across = np.abs(np.gradient(error, nodes, axis=1)), np.abs(np.gradient(x, nodes, axis=1))
+    along = np.abs(np.gradient(error, nodes, axis=2)), np.abs(np.gradient(y, nodes, axis=2))
+    slopes = (
+        (own * across[0] + of_image * across[1][..., None]) * near_ends[:, None],
+        (own * along[0] + of_image * along[1]) * near_ends,
+    )
+    steepest = max(float(slope.max()) for slope in slopes)
     least = math.ceil(0.55 * steepest) + 24
     if samples < least:
         raise ValueError(

@@ -149,9 +149,9 @@ class Diffraction(Shown):
 
 
 class Wavefront(Shown):
-    """Aberrations of a lens and the diffraction at its aperture, the same over the whole picture.
-    If all coefficients are 0, the result equals `Diffraction`. Large coefficients give the spot of
-    geometrical optics.
+    """Aberrations of a lens and the diffraction at its aperture of any shape, the same over the
+    whole picture. If all coefficients are 0 and the aperture is round, the result equals
+    `Diffraction`. Large coefficients give the spot of geometrical optics.
 
     Attributes:
         coefficients: (terms,) m, of Noll's Zernike terms 1, 2, ...; `optics.zernike` names them.

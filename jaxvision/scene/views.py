@@ -19,7 +19,6 @@ from ..core._types import (
     print_by_name,
 )
 from .lenses import (
-    AnnularAperture,
     Aperture,
     CircularAperture,
     Diffraction,
@@ -107,8 +106,8 @@ class ThinLens(Shown):
         aperture: its shape.
         rim: a second aperture that blocks oblique light, or None.
         distortion: of the image, or None.
-        diffraction: `Diffraction` at a round aperture, or `Wavefront` to include aberrations, or
-            None.
+        diffraction: `Diffraction` at a round aperture, or `Wavefront` for an aperture of any shape
+            and for aberrations, or None.
 
     Example:
         >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
@@ -139,12 +138,13 @@ class ThinLens(Shown):
             check_range(
                 "ThinLens.focus_distance", self.focus_distance, nearest, above=True, finite=False
             )
-        round_one = CircularAperture
-        if isinstance(self.diffraction, Wavefront):
-            round_one = CircularAperture | AnnularAperture
-        if self.diffraction is not None and not isinstance(self.aperture, round_one):
+        round_one = isinstance(self.aperture, CircularAperture)
+        if isinstance(self.diffraction, Diffraction) and not round_one:
             kind = type(self.aperture).__name__
-            raise ValueError(f"ThinLens.diffraction needs a CircularAperture, got {kind}.")
+            raise ValueError(
+                f"Diffraction needs a CircularAperture, got {kind}; give ThinLens.diffraction = "
+                "Wavefront([0.0], wavelength), which has the pattern of any aperture."
+            )
 
 
 View = Orthographic | Pinhole | ThinLens
