@@ -27,7 +27,9 @@ PIXELS = 1000  # pixels of a map whose data are checked
 PILED, STEEP = 5, 3.0  # fewest data at an end, and ratio to those at each neighbouring value
 BESIDE = 8  # values next to an end
 CONSTANT = 0.5  # share of simulated data that differ from data that are all equal
-COPIED = 0.1  # share of repeated values from which copies are reported
+# Number and share of repeated values from which copies are reported: two rounded numbers may be
+# equal by chance.
+FEWEST_COPIED, COPIED = 3, 0.1
 SINGLE = 100_000  # number of data from which rounding to float32 makes many equal
 BEYOND = 3  # fewest data that the fit must predict beyond an end to call the others clipped
 COARSE = 1.0  # step of the data, in standard deviations of the noise, that is not negligible
@@ -116,10 +118,10 @@ def _pixel_predictions(
 def _find_repeats(
     seen: "_FitOfPresent", known: np.ndarray, *, faulty: bool, overrated: bool, seed: int
 ) -> tuple[str, ...]:
-    """Return findings about values that occur more than once in the data."""
+    """Return findings about values that occur more than once in the data, or have few digits."""
     values, counts = np.unique(known, return_counts=True)
     if len(values) == len(known):
-        return ()
+        return tuple(_find_rounding(seen, known, seed)) if faulty else ()
     if len(values) == 1:
         return _constant(seen, known, seed)
     found = _find_copies(known, counts) + _find_clipping(
@@ -221,7 +223,8 @@ def _find_copies(known: np.ndarray, counts: np.ndarray) -> list[str]:
     grid nor limited by float32.
     """
     rounded = known.size > SINGLE and (known == known.astype(np.float32)).all()
-    if np.mean(counts > 1) < COPIED or rounded or converter_of([known]).step:
+    few = np.sum(counts > 1) < FEWEST_COPIED or np.mean(counts > 1) < COPIED
+    if few or rounded or converter_of([known]).step:
         return []
     return [
         f"Only {len(counts)} of {known.size} data are different numbers, although they are not "
@@ -264,14 +267,25 @@ def _find_rounding(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str
     likelihood ignores this.
     """
     step = converter_of([data]).step
-    if not step:
+    with np.errstate(over="ignore"):
+        half = data.astype(np.float16)
+    short = not step and (half == data).all()
+    if not step and not short:
         return []
     drawn = seen.drawn(seed)
-    if converter_of([drawn]).step == step:
+    if step and converter_of([drawn]).step == step:
         return []
     noise = float(np.sqrt(np.mean((drawn - seen.predicted()) ** 2)))
+    if short:
+        step = float(np.median(np.spacing(np.abs(half))))
     if step < COARSE * noise:
         return []
+    if short:
+        return [
+            f"All data have the 3 digits of float16, so that half of them are rounded to {step:.4g}"
+            f" or more, {step / noise:.2g} times the noise of the likelihood, {noise:.2g}. Give "
+            "the data before that conversion."
+        ]
     return [
         f"All data lie {step:.4g} apart or a multiple of it, which is {step / noise:.2g} times the "
         f"noise of the likelihood, {noise:.2g}: they were rounded, with an error of "

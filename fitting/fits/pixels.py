@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from jaxvision.core.plain_arrays import plain_array, widen_integers
+from jaxvision.core.plain_arrays import plain_array, widen_short
 from jaxvision.core.progress import progress_bar
 from jaxvision.errors import InputError
 
@@ -145,7 +145,7 @@ def fit_map(
             [
                 None
                 if x is None
-                else jnp.asarray(widen_integers(plain_array("inputs", np.asarray(x[filled]))))
+                else jnp.asarray(widen_short(plain_array("inputs", np.asarray(x[filled]))))
                 for x in leaves
             ],
             jnp.asarray(steps),

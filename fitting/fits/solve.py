@@ -54,6 +54,7 @@ from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
 from .words import (
     chain_failures,
+    few_digits,
     is_confirmed,
     left_out_findings,
     no_maximum,
@@ -218,6 +219,10 @@ def fit(
         failures = []
     several = [] if why or np.isinf(drawn.shifted) else search_findings(optimum, drawn)
     failures += chain_failures(drawn) + several
+    digits = few_digits(problem, optimum) if failures or checks.remarks else []
+    if digits:
+        failures = [*digits, *(one for one in failures if one in checks.faults)]
+        optimum = replace(optimum, unseen={})  # differences are as inaccurate as the cost
     contradicted = () if why else against
     remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
     carried = () if problem.prior is None else problem.prior.words

@@ -15,7 +15,7 @@ from ..inference.parameters import (
 )
 from ..inference.posterior import PRIOR_RATIO, Posterior, piled_at
 from ..inference.problem import Problem
-from ..inference.search import SAME_PLACE, Optimum
+from ..inference.search import SAME_PLACE, Optimum, rounding_of_digits
 from ..inference.trust import convergence_in_words, is_trusted
 
 FLAT = 0.3  # share of a parameter in the flattest direction from which it is named
@@ -89,6 +89,22 @@ def verdict(
             "no other start agrees with this one: use more starts."
         )
     return failures
+
+
+def few_digits(problem: Problem, optimum: Optimum) -> list[str]:
+    """Return the reason for a failure if the digits of the predictions leave the cost so inaccurate
+    that searches cannot find its minimum; an empty list if they do not."""
+    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+    blur, size, share = (float(x) for x in rounding_of_digits(vector, problem)[1:])
+    if not blur > SAME_END:
+        return []
+    name = jnp.result_type(float).name
+    wider = "" if name == "float64" else "jax.config.update('jax_enable_x64', True), or "
+    return [
+        f"Predictions near {size:.3g} have their last digit in {name} at {share:.2g} times the "
+        f"noise of the data, so that rounding moves the log density by about {blur:.2g} and hides "
+        f"its maximum: {wider}subtract a constant from data and predictions."
+    ]
 
 
 def agreeing(optimum: Optimum) -> int:

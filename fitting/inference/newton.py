@@ -27,6 +27,7 @@ EASIER, HARDER = 0.1, 8.0  # factors on the damping after a success and after a 
 MAX_DAMPING = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
 CAREFUL = 0.1  # the first damping from a start that may lie anywhere
+SAME_BLUR = 4  # the same, in units of `blur`
 SAME_COST = 45  # increase of the cost, in units of rounding, that still counts as no increase
 
 
@@ -120,6 +121,7 @@ def minimise_many(
     tolerance: float = 1e-7,
     digit: float,
     careful: bool = False,
+    blur: float = 0.0,
     progress: Callable[[int], None] | None = None,
 ) -> Any:
     """Run `minimise` from several starts at once, in NumPy. Only the derivatives are compiled; they
@@ -128,10 +130,10 @@ def minimise_many(
     `derivatives` returns costs (n,), gradients (n, P) and curvatures (n, P, P) at vectors (n, P).
     `digit` is the relative rounding error of the costs. With `careful` the damping also limits
     steps along numbers that the data hardly determine, as a prior of width 1 would. Without it a
-    first step may end far away, where all slopes vanish. `progress` is called with the count of
-    ended searches."""
+    first step may end far away, where all slopes vanish. `blur` is an absolute error of the costs.
+    `progress` is called with the count of ended searches."""
     state = _initial_state(np.array(start, np.float64), CAREFUL if careful else FIRST_DAMPING)
-    how = {"digit": digit, "least": float(careful)}
+    how = {"digit": digit, "least": float(careful), "blur": blur}
     active = np.ones(len(start), bool)
     while active.any():
         part = jax.tree.map(lambda x: x[active], state)  # noqa: B023
@@ -196,10 +198,11 @@ def _advance(
     *,
     digit: float,
     least: float = 0.0,
+    blur: float = 0.0,
 ) -> _State:
     """Return the state after a proposal: the better of two points, and the next proposal."""
     xp = numpy_or_jax(state.vector)
-    rounding = SAME_COST * digit * xp.abs(state.cost)
+    rounding = SAME_COST * digit * xp.abs(state.cost) + SAME_BLUR * blur
     better = cost <= state.cost + xp.where(xp.isfinite(rounding), rounding, 0)
     here = replace(
         state,

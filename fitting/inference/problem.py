@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxvision.core.plain_arrays import plain_array, widen_integers, within_integers
+from jaxvision.core.plain_arrays import plain_array, widen_short, within_integers
 from jaxvision.errors import InputError, nearest
 
 from .candidates import Candidate
@@ -314,7 +314,7 @@ def _check_shapes(problem: Problem) -> None:
                 f"{problem.data.shape}, as the data have."
             )
         try:
-            found = _terms(problem, values, seen)
+            found = datum_terms(problem, values, seen)
         except InputError:
             raise
         except (
@@ -428,10 +428,11 @@ def likelihood_at(problem: Problem, values: Values) -> Likelihood:
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
     """Return ln p of every datum, 0 where it is missing."""
     values = values_at(problem, vector)
-    return _terms(problem, values, prediction(problem, values))
+    return datum_terms(problem, values, prediction(problem, values))
 
 
-def _terms(problem: Problem, values: Values, seen: Array) -> Array:
+def datum_terms(problem: Problem, values: Values, seen: Array) -> Array:
+    """Return ln p of every datum about a prediction, 0 where it is missing."""
     terms = likelihood_at(problem, values).log_density(seen, problem.data)
     return terms if problem.present is None else jnp.where(problem.present, terms, 0)
 
@@ -478,7 +479,7 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 def as_arrays(tree: Any) -> Any:
     """Return a tree with its floating-point leaves as arrays, which are data and no part of a
-    compile key. Codes of 8 and 16 bits become 64-bit integers, so that squares and products do not
+    compile key. Numbers of 8 and 16 bits become wider, so that squares and products do not
     overflow.
     """
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
@@ -488,7 +489,7 @@ def as_arrays(tree: Any) -> Any:
 
     def plain_one(x: Any) -> Any:
         plain = plain_array("inputs", np.asarray(x) if isinstance(x, np.memmap) else x)
-        return within_integers(widen_integers(plain))
+        return within_integers(widen_short(plain))
 
     plain = jax.tree.map(plain_one, tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)

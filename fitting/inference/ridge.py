@@ -190,16 +190,17 @@ def _draw_log_linear(
     logs = along.log_density - along.log_density.max()
     width, rise = np.diff(along.places), np.diff(logs)
     steep = np.abs(rise) > 1e-9
-    mean = np.where(steep, np.expm1(rise) / np.where(steep, rise, 1), 1)
-    mass = np.abs(width) * np.exp(logs[:-1]) * mean
+    fall = -np.abs(rise)  # the mean is taken relative to the higher end, which cannot overflow
+    mean = np.where(steep, np.expm1(fall) / np.where(steep, fall, 1), 1)
+    mass = np.abs(width) * np.exp(np.maximum(logs[:-1], logs[1:])) * mean
     total = np.concatenate([[0.0], np.cumsum(mass)])
     reached = uniform * total[-1]
     cell = np.clip(np.searchsorted(total, reached, side="right") - 1, 0, len(mass) - 1)
     part = np.clip((reached - total[cell]) / mass[cell], 0, 1)
-    own = rise[cell]
-    share = np.where(
-        steep[cell], np.log1p(part * np.expm1(own)) / np.where(steep[cell], own, 1), part
-    )
+    own, down = rise[cell], fall[cell]
+    from_top = np.clip(np.where(own > 0, 1 - part, part), 0, 1 - 1e-16)
+    share = np.log1p(from_top * np.expm1(down)) / np.where(steep[cell], down, 1)
+    share = np.where(steep[cell], np.where(own > 0, 1 - share, share), part)
     share = np.clip(share, 0, 1)
     place = along.places[cell] + share * width[cell]
     return place, cell, share, logs[cell] + share * own

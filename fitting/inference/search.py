@@ -73,12 +73,15 @@ from .parameters import (
 from .problem import (
     Problem,
     Vector,
+    datum_terms,
     least_squares_residuals,
     log_density,
     log_likelihood,
     log_prior_at,
     missing_in_words,
+    prediction,
     start_of_data,
+    values_at,
 )
 from .separable import KNOTS, closed_form_indices, complete, eliminate, require_linear
 from .streams import Advance, chunks
@@ -88,6 +91,7 @@ STEPS = 100  # most steps of a search
 _BOX = 10.0  # half width of the box for jaxopt's L-BFGS-B, in standard deviations of the prior
 MANY_STEPS = 1000  # most steps of a user's solver, which may need more without curvature
 BEYOND, NOTHING = 30, 1e-6  # most steps after convergence, and share of its tolerance
+COARSEST = 0.03  # error of the cost by rounding that a search allows for
 EDGE = 1e-3  # smallest distance of a start from an end of its range, as a share of the range
 SAME_PLACE = 0.5  # difference in cost up to which two searches count as one optimum
 FARTHEST = 700.0  # unconstrained, in place of infinity: the exponential of more overflows
@@ -294,7 +298,12 @@ def search(
         why = _missing(problem) or "check predict, bounds and start."
         raise InputError(f"The log density is finite at none of the {len(costs)} starts: {why}")
     if modes is None or not modes.converged[best]:
-        found = jax.tree.map(lambda x: x[0], _mode(vectors[best][None], local))
+        found = _mode(vectors[best][None], local)
+        if not found.converged[0]:
+            vector = jnp.asarray(found.vector[0], jnp.result_type(float))
+            blur = float(rounding_of_digits(vector, problem)[0])
+            found = _mode(found.vector, local, min(blur, COARSEST))
+        found = jax.tree.map(lambda x: x[0], found)
     else:
         found = jax.tree.map(lambda x: x[best], modes)
     bend = prior_derivatives(whole(found.vector[None]), problem)[2][0]
@@ -493,10 +502,13 @@ def _modes(starts: np.ndarray, local: Local, progress: Ended | None = None) -> A
     return minimise_many(local, starts, max_steps=STEPS, progress=progress, **_tolerances())
 
 
-def _mode(start: np.ndarray, local: Local) -> Any:
+def _mode(start: np.ndarray, local: Local, blur: float = 0.0) -> Any:
     """Return where Newton's method ends from one start, continued while steps become smaller,
-    because the Gauss-Newton curvature is approximate."""
-    found = _modes(start, local)
+    because the Gauss-Newton curvature is approximate. `blur` is the error of the cost by the digits
+    of the predictions."""
+    how = _tolerances()
+    how["tolerance"] = max(how["tolerance"], blur**2)  # a parameter has no more digits
+    found = minimise_many(local, start, max_steps=STEPS, blur=blur, **how)
     for _ in range(BEYOND):
         if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
             break
@@ -514,6 +526,27 @@ def _tolerances() -> dict[str, Any]:
     precise = jnp.result_type(float) == jnp.float64
     digit = float(jnp.finfo(jnp.result_type(float)).eps)
     return {"tolerance": 1e-7 if precise else 1e-3, "digit": digit}
+
+
+@compiled_briefly
+def rounding_of_digits(vector: Vector, problem: Problem) -> tuple[Array, Array, Array, Array]:
+    """Return the rms error of the cost if each prediction is rounded to its digits, the same for
+    residuals of one standard deviation, and for the median datum the size of the prediction and its
+    last digit in standard deviations of the noise.
+    """
+    values = values_at(problem, vector)
+    seen = prediction(problem, values)
+    if not eqx.is_inexact_array(seen) or not seen.size:
+        return (jnp.zeros(()),) * 4
+    slope = jax.grad(lambda seen: -jnp.sum(datum_terms(problem, values, seen)))
+    gradient, bend = jax.jvp(slope, (seen,), (jnp.ones_like(seen),))
+    digit = float(jnp.finfo(seen.dtype).eps) * jnp.abs(seen)
+    share = (digit * jnp.sqrt(jnp.abs(bend))).ravel()
+    middle = jnp.argsort(share)[share.size // 2]
+    expected = share**2 * (1 + share**2 / 4)  # of a residual of one standard deviation
+    blur = jnp.sqrt(jnp.sum(expected)) / 2
+    whole = jnp.sqrt(jnp.sum(expected + (digit * gradient).ravel() ** 2)) / 2
+    return whole, blur, jnp.abs(seen).ravel()[middle], share[middle]
 
 
 def _nonlinear(problem: Problem) -> np.ndarray:

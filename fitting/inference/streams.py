@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision.core.plain_arrays import plain_array, widen_integers
+from jaxvision.core.plain_arrays import plain_array, widen_short
 from jaxvision.errors import InputError
 
 from .given import plain_numbers, require_whole
@@ -195,7 +195,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         for begin in range(0, len(data), stream.size):
             part = slice(begin, begin + stream.size)
             beside = tuple(
-                widen_integers(plain_array("inputs", np.asarray(leaf[part]))) for leaf in own
+                widen_short(plain_array("inputs", np.asarray(leaf[part]))) for leaf in own
             )
             yield Rows(np.asarray(data[part], dtype), beside)
         return
@@ -205,7 +205,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         beside = inputs, stream.likelihood
         _check_inputs(stream, beside, len(rows) if rows.ndim else 0)
         own = (
-            widen_integers(plain_array("inputs", np.asarray(leaf)))
+            widen_short(plain_array("inputs", np.asarray(leaf)))
             for leaf in _rowwise_arrays(stream, beside)
         )
         yield Rows(rows, tuple(own))

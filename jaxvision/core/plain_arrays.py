@@ -62,6 +62,8 @@ def plain_array(name: str, value: Any) -> Any:
                 if not isinstance(part, Number):
                     raise InputError(f"{name} holds {part!r:.40}, which is no number; take it out.")
             return value.astype(complex if np.iscomplexobj(value.tolist()) else float)
+        if _is_short_float(value.dtype):
+            return value.astype(np.float64)
         if held := _NO_NUMBERS.get(value.dtype.kind):
             raise InputError(
                 f"{name} holds {held} ({value.dtype!s:.99}), not numbers; give numbers."
@@ -106,11 +108,19 @@ def within_integers(x: Any) -> Any:
     return x
 
 
-def widen_integers(x: Any) -> Any:
-    """Convert integer arrays of 8 or 16 bits to 64 bits, so that squares and products of codes do
-    not overflow. Return other values unchanged."""
-    small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
-    return np.asarray(x, np.int64) if small and x.dtype.itemsize < 4 else x
+def widen_short(x: Any) -> Any:
+    """Convert arrays of 8 or 16 bits, such as codes and half-precision numbers, to 64 bits, so that
+    squares and products do not overflow. Return other values unchanged."""
+    dtype = getattr(x, "dtype", None)
+    if not isinstance(dtype, np.dtype) or dtype.itemsize > 2:
+        return x
+    wide = np.int64 if dtype.kind in "iu" else np.float64
+    return np.asarray(x, wide) if dtype.kind in "iuf" or _is_short_float(dtype) else x
+
+
+def _is_short_float(dtype: np.dtype) -> bool:
+    """Return whether a dtype is bfloat16, or another number that NumPy itself does not know."""
+    return dtype.kind == "V" and not issubclass(dtype.type, np.void)
 
 
 def warn_of_range(name: str, x: Any) -> None:

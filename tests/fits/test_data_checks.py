@@ -150,3 +150,70 @@ def test_the_data_of_a_map_are_checked_as_those_of_one_fit(change, expected):
     told = [one for one in fit_map(pixel, change(images)).findings if "data " in one]
     assert len(told) == (expected is not None)
     assert expected is None or re.search(expected, told[0])
+
+
+def line_far_from_zero(share, seed):
+    """A line with noise of .05 whose data have their last digit at `share` times the noise."""
+    rng, x = np.random.default_rng(seed), np.linspace(0, 10, 200)
+    offset = share * 0.05 / np.finfo(jnp.result_type(float)).eps
+    return Problem(
+        {"offset": Parameter(start=offset), "slope": Parameter(start=0.0)},
+        lambda offset, slope, inputs: offset + slope * inputs,
+        Gaussian(sd=0.05),
+        offset + 3 * x + rng.normal(0, 0.05, 200),
+        inputs=x,
+    )
+
+
+@pytest.mark.parametrize("share", [1.2, 2000.0])
+def test_data_with_fewer_digits_than_their_noise_needs_are_told(share):
+    found = fit(line_far_from_zero(share, 0))
+    assert not found.converged
+    told = float(re.search(r"at (\S+) times the noise", found.failures[0]).group(1))
+    assert share / 2 < told <= 2 * share  # one digit of a binary number
+    assert "subtract a constant" in found.failures[0]
+    assert ("jax_enable_x64" in found.failures[0]) == (jnp.result_type(float) == np.float32)
+    assert not any("edges of shadows" in one for one in found.findings)
+
+
+def test_rounding_of_the_cost_is_no_step_uphill():
+    """Where the sum of squares is rounded, and the parameters are known to their last digit."""
+    for seed in (1, 3):
+        found = fit(line_far_from_zero(2e-4, seed), starts=4)
+        assert found.converged
+        assert abs(float(found.values["slope"]) - 3) < 4 * 0.00122
+
+
+def test_numbers_of_half_precision_are_told():
+    x = np.linspace(0, 10, 200)
+    y = 1000 + 30 * x + np.random.default_rng(0).normal(0, 0.05, 200)
+    line = {"level": Parameter(start=900.0), "slope": Parameter(start=20.0)}
+
+    def told(data):
+        found = fit(
+            Problem(
+                line,
+                lambda level, slope, inputs: level + slope * inputs,
+                Gaussian(sd=0.05),
+                data,
+                inputs=x,
+            ),
+            starts=4,
+        )
+        return [one for one in (*found.failures, *found.findings) if "float16" in one]
+
+    (words,) = told(y.astype(np.float16))
+    assert "rounded to 1 or more, 2" in words  # 20 times the noise
+    assert not told(y + 5 * (np.arange(200) % 20 == 0))
+
+
+def test_two_equal_numbers_of_eleven_are_no_copies():
+    """Measured to six digits, two of them equal by chance."""
+    data = np.array([1.54378, 1.54341, 1.55381, 1.54877, 1.55381, 1.56225])
+    data = np.concatenate([data, [1.56568, 1.56822, 1.58282, 1.60016, 1.62545]])
+    found = fit(
+        Problem(
+            {"level": Parameter(start=1.0)}, lambda level: level * np.ones(11), Gaussian(0.03), data
+        )
+    )
+    assert not any("copies" in one for one in (*found.failures, *found.findings))

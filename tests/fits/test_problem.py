@@ -473,6 +473,20 @@ def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
     np.testing.assert_allclose(found.estimates[0].standard_error, 0.001, rtol=1e-3)
 
 
+@pytest.mark.parametrize("dtype", [np.float16, jnp.bfloat16])
+def test_squares_of_half_precision_among_the_inputs_do_not_overflow(dtype):
+    codes = np.linspace(0, 800, 26).astype(dtype)
+    problem = Problem(
+        {"scale": Parameter(start=1.0)},
+        predict=lambda scale, inputs: scale * inputs**3,
+        likelihood=Gaussian(sd=0.01),
+        data=np.zeros(26, dtype),
+        inputs=codes,
+    )
+    found = prediction(problem, {"scale": 2e-6}, inputs=None)
+    np.testing.assert_allclose(found, 2e-6 * codes.astype(float) ** 3, rtol=1e-6)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16])
 def test_squares_of_codes_among_the_inputs_do_not_overflow(dtype):
     codes = np.linspace(0, np.iinfo(dtype).max, 20).astype(dtype)

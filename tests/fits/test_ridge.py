@@ -10,6 +10,7 @@ from scipy.stats import norm
 from fitting import Gaussian, LogNormal, Normal, Parameter, Problem, fit
 from fitting.inference.importance import laplace_where_it_holds
 from fitting.inference.parameters import scalars
+from fitting.inference.ridge import Ridge, _draw_log_linear
 
 COUNT, SD = 4, 0.1  # data of a group and their noise
 LEVELS = [0.025, 0.16, 0.5, 0.84, 0.975]
@@ -132,3 +133,19 @@ def test_intervals_of_a_scale_of_groups_cover_it():
             low, high = estimates[name].interval_95
             covered[i] += low < truth < high
     assert (covered >= 34).all()  # below with a chance of 1 %
+
+
+def test_places_in_cells_of_any_slope_follow_their_density():
+    """Also where the density rises by a factor of exp(2000) within a cell."""
+    places = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    logs = np.array([-2000.0, 0.0, -1.0, -1.0, -3000.0])
+    along = Ridge(0, places, logs, places[:, None], np.zeros((5, 0, 0)))
+    with np.errstate(all="raise", under="ignore"):
+        drawn, cell, _, density = _draw_log_linear(along, (np.arange(4000) + 0.5) / 4000)
+    np.testing.assert_allclose(density, np.interp(drawn, places, logs), atol=1e-9)
+    mass = np.array([1 / 2000, 1 - np.exp(-1), np.exp(-1), np.exp(-1) / 2999])
+    cells = np.bincount(cell, minlength=4) / 4000
+    np.testing.assert_allclose(cells, mass / mass.sum(), atol=1 / 4000)
+    inside = drawn[cell == 1] - 1  # ln p falls by 1
+    mean = (1 - 2 * np.exp(-1)) / (1 - np.exp(-1))
+    np.testing.assert_allclose(inside.mean(), mean, atol=1e-3)

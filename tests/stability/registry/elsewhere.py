@@ -93,7 +93,7 @@ ELSEWHERE = (
     Elsewhere(
         CHOICES,
         "test_plain_arrays",
-        "core.plain_arrays: plain_array warn_of_range widen_integers within_integers",
+        "core.plain_arrays: plain_array warn_of_range widen_short within_integers",
     ),
     Elsewhere(
         FILES,
