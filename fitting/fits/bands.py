@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.errors import InputError
 
 from ..inference.formatting import format_spread, format_with_error
@@ -91,7 +91,7 @@ def evaluate_draws(problem: Problem, function: Callable[..., Any], natural: Arra
                 "one array, or call derived once for each."
             ) from error
 
-    return jax.lax.map(evaluate, natural, batch_size=BATCH)
+    return map_(evaluate, natural, batch_size=BATCH)
 
 
 @eqx.filter_jit
@@ -108,7 +108,7 @@ def simulate_data(
         predicted = prediction(problem, values, inputs=inputs)
         return (likelihood if louder is None else louder).draw(key, predicted)
 
-    return jax.lax.map(simulate, (keys, natural), batch_size=BATCH)
+    return map_(simulate, (keys, natural), batch_size=BATCH)
 
 
 def bands(draws: np.ndarray) -> Bands:

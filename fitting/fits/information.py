@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.errors import InputError, nearest
 
 from ..inference.design import Plan, rank
@@ -75,7 +76,7 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
         new = eqx.tree_at(lambda p: p.data, problem, jnp.asarray(drawn, problem.data.dtype))
         return outer(jax.jacfwd(lambda v: log_likelihood_terms(v, new).ravel())(vector))
 
-    return jnp.mean(jax.lax.map(draw_information, keys, batch_size=BATCH), axis=0)
+    return jnp.mean(map_(draw_information, keys, batch_size=BATCH), axis=0)
 
 
 def replace_inputs(problem: Problem, inputs: Any) -> Problem:

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxvision.core.parallel_loops import map_
+
 from ..inference.differences import MISSED_SHARE
 from ..inference.on_host import to_host
 from ..inference.problem import Problem, Values, prediction, values_at
@@ -92,7 +94,7 @@ def _compare_derivatives(problem: Problem, values: Values, step: Values) -> Arra
         return _block_means(prediction(problem, moved))
 
     shares = jnp.array([1.0, -1.0, 0.5, -0.5, 0.0])  # evaluated by one compiled program
-    there, along = jax.lax.map(lambda x: jax.jvp(picture, (x,), (jnp.ones_like(x),)), shares)
+    there, along = map_(lambda x: jax.jvp(picture, (x,), (jnp.ones_like(x),)), shares)
     full, half = (there[0] - there[1]) / 2, there[2] - there[3]
     return jnp.stack([jnp.sqrt(jnp.sum(x**2)) for x in (half, half - along[4], full - half)])
 

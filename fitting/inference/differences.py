@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.core.parallel_loops import map_
+
 from .compiled import compiled_briefly
 from .on_host import to_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
@@ -151,7 +153,7 @@ def _compare_derivatives(
         parts = half, half - exact, full - half, rounding
         return jnp.stack([jnp.sqrt(jnp.sum(part**2)) for part in parts])
 
-    return jax.lax.map(norms, jnp.arange(vector.size))
+    return map_(norms, jnp.arange(vector.size))
 
 
 @partial(compiled_briefly, always=False)
@@ -166,10 +168,10 @@ def _second_differences(
         way = jnp.zeros_like(vector).at[number].set(sizes[number])
         return (residuals(vector + way) - residuals(vector - way)) / (2 * sizes[number])
 
-    here, jacobian = residuals(vector), jax.lax.map(step, jnp.arange(vector.size))
+    here, jacobian = residuals(vector), map_(step, jnp.arange(vector.size))
     return here @ here / 2, jacobian @ here, jacobian @ jacobian.T
 
 
 @partial(compiled_briefly, always=False)
 def _costs(vectors: Array, problem: Problem) -> Array:
-    return jax.lax.map(lambda vector: -log_density(vector, problem), vectors)
+    return map_(lambda vector: -log_density(vector, problem), vectors)

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxvision.core.parallel_loops import map_
+
 from .compiled import compiled_briefly
 from .parameters import numpy_or_jax
 
@@ -246,7 +248,7 @@ def second_derivatives(
         here, (_, change) = jax.jvp(lambda v: slope(v, args), (vector,), (along,))
         return here, change
 
-    (cost, gradient), information = jax.lax.map(column, jnp.eye(vector.size, dtype=vector.dtype))
+    (cost, gradient), information = map_(column, jnp.eye(vector.size, dtype=vector.dtype))
     return cost[0], gradient[0], information
 
 

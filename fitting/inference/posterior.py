@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import ndtr, stdtrit
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.errors import InputError
 from jaxvision.programs import targets_cpu
 
@@ -353,7 +354,5 @@ def walkers_at_a_time() -> int:
 
 @eqx.filter_jit
 def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
-    values = jax.lax.map(
-        lambda vector: log_density(vector, args), vectors, batch_size=walkers_at_a_time()
-    )
+    values = map_(lambda vector: log_density(vector, args), vectors, batch_size=walkers_at_a_time())
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -48,6 +48,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.errors import InputError
 from jaxvision.programs import targets_cpu
 
@@ -393,7 +394,7 @@ def _require_solver(solver: Any, problem: Problem) -> None:
 def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
     """Return where the searches by a solver of optimistix or jaxopt end."""
     if _is_of_jaxopt(solver):
-        return jax.lax.map(partial(_jaxopt_end, problem, mean, weight, solver), starts)
+        return map_(partial(_jaxopt_end, problem, mean, weight, solver), starts)
     import optimistix as optx
 
     squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
@@ -411,7 +412,7 @@ def _solver_end(starts: Array, problem: Problem, mean: Array, weight: Array, sol
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 
-    return jax.lax.map(search, starts, batch_size=searches_at_once(starts))
+    return map_(search, starts, batch_size=searches_at_once(starts))
 
 
 def _jaxopt_end(problem: Problem, mean: Array, weight: Array, solver: Any, start: Array) -> Array:
@@ -556,7 +557,7 @@ def _nonlinear(problem: Problem) -> np.ndarray:
 
 @compiled_briefly
 def _complete_all(vectors: Array, problem: Problem) -> Array:
-    return jax.lax.map(lambda vector: complete(vector, problem), vectors)
+    return map_(lambda vector: complete(vector, problem), vectors)
 
 
 def _lowest_of_grid(
@@ -642,7 +643,7 @@ def _derivatives_at(
         return jax.lax.cond(asked, lambda v: local(v, problem), lambda _: nothing, vector)
 
     together = None if targets_cpu() else len(vectors)
-    return jax.lax.map(derivatives, (vectors, wanted), batch_size=together)
+    return map_(derivatives, (vectors, wanted), batch_size=together)
 
 
 @partial(compiled_briefly, always=False)
@@ -755,7 +756,7 @@ def derivatives(
 
 @eqx.filter_jit
 def _costs_read(vectors: Array, problem: Problem) -> Array:
-    return jax.lax.map(
+    return map_(
         lambda vector: _negative_log_likelihood(vector, problem),
         vectors,
         batch_size=searches_at_once(vectors),

@@ -55,6 +55,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import chdtri, ndtri
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.core.side_by_side import side_by_side
 
 from ..inference.clustering import Robustness, cluster_robust
@@ -200,10 +201,10 @@ def _image_scores(
         return jax.vmap(lambda unit: bend(nothing.at[image].set(unit))[image])(units)
 
     if data.cells.products is None and data.turn_precision is None:
-        every = jax.lax.map(lambda unit: bend(jnp.broadcast_to(unit, alike.shape)), units)
+        every = map_(lambda unit: bend(jnp.broadcast_to(unit, alike.shape)), units)
         information = jnp.swapaxes(every, 0, 1)
     else:
-        information = jax.lax.map(image_information, jnp.arange(count))
+        information = map_(image_information, jnp.arange(count))
     return -slope(alike), information
 
 

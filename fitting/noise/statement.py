@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxvision.core.parallel_loops import map_
 from jaxvision.errors import InputError
 
 from ..inference.candidates import Candidate, price, squared_ratios, weakest
@@ -280,7 +281,7 @@ def _best_start(problem: Problem, start: Array) -> Array:
     steps = jnp.stack([x.ravel() for x in jnp.meshgrid(*tried.values())], axis=1)
     places = jnp.asarray([labels.index(name) for name in tried])
     starts = jnp.tile(start, (len(steps), 1)).at[:, places].add(steps)
-    costs = jax.lax.map(lambda vector: negative_log_density(vector, problem), starts)
+    costs = map_(lambda vector: negative_log_density(vector, problem), starts)
     return starts[jnp.nanargmin(costs)]
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from ..core._loops.fusion import one_program
 from ..core._numerics import divide, running_sum, safe_sqrt
 from ..core._types import Scalar
+from ..core.parallel_loops import fori_loop
 from ._interpolation import interpolation_weights, place_in_unit
 
 Slices = list[tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]]
@@ -99,7 +100,7 @@ def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Sca
         return jnp.where(below, middle, low), jnp.where(below, high, middle)
 
     ends = jnp.zeros((), jnp.int32), jnp.full((), count - 1, jnp.int32)
-    low, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, ends)
+    low, _ = fori_loop(0, (count - 1).bit_length(), halve, ends)
     return low
 
 

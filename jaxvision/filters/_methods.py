@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..core._loops.fusion import PLAIN, materialise
+from ..core.parallel_loops import fori_loop, while_loop
 from ..programs import targets_cpu
 from .padding import ghosts, pad_axis
 
@@ -194,7 +195,7 @@ def _correlate_tiles(
         sums = _sum_magnitudes(part, weights, spectrum)
         return lax.dynamic_update_slice(whole, sums, (image_of, band, y, x))
 
-    return lax.fori_loop(0, jnp.where(right, 0, n * c * down * across), correlate_tile, whole)
+    return fori_loop(0, jnp.where(right, 0, n * c * down * across), correlate_tile, whole)
 
 
 def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
@@ -222,7 +223,7 @@ def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
 
         h, w = (a - b + 1 for a, b in zip(f.shape[2:], k.shape[2:], strict=True))
         start = finite / scale, jnp.zeros((1, 1, h, w), wide), jnp.zeros((), jnp.int32)
-        _, total, _ = lax.while_loop(is_left, step, start)
+        _, total, _ = while_loop(is_left, step, start)
         total = (total * scale).astype(f.dtype)
         known = jnp.isfinite(f).all() & jnp.isfinite(k).all()
         return lax.cond(known, lambda: total, lambda: _propagate_nan(total, f, k))

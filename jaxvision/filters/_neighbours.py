@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ..core._numerics import binary_unit, smallest_divisor
 from ..core._types import Scalars, print_by_name
+from ..core.parallel_loops import scan
 from .padding import as_planes, pad
 
 # Pictures in one call may differ in size or bands, so their axes have no names to agree on.
@@ -118,7 +119,7 @@ def weighted_mean(
         return jax.tree.map(jnp.add, sums, row(dy)), None
 
     start = tuple(zero for _ in values), zero
-    (sums, total), _ = lax.scan(add, start, jnp.arange(2 * radius + 1, dtype=jnp.int32))
+    (sums, total), _ = scan(add, start, jnp.arange(2 * radius + 1, dtype=jnp.int32))
     return tuple(s / total for s in sums)
 
 

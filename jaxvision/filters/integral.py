@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int
 from ..core._arguments import takes_numbers
 from ..core._shown import Shown
 from ..core._types import as_float
+from ..core.parallel_loops import scan
 from .padding import Picture, check_picture
 
 Pair = tuple[Array, Array]
@@ -172,7 +173,7 @@ def _running(pair: Pair, axis: int) -> Pair:
         return total, total
 
     zero = jnp.zeros_like(lines[0][0])
-    _, (high, low) = jax.lax.scan(step, (zero, zero), lines)
+    _, (high, low) = scan(step, (zero, zero), lines)
     return jnp.moveaxis(high, 0, axis), jnp.moveaxis(low, 0, axis)
 
 

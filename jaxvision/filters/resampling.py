@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers, warn_of_idle_fill
 from ..core._types import check_choice, check_count, check_shape
+from ..core.parallel_loops import map_
 from ._neighbours import AnyPicture, Floats
 from .padding import as_planes
 
@@ -202,7 +203,5 @@ def _warp(
         return restore(sample_at(places))
     down, right = (jnp.gradient(places, axis=axis) for axis in (1, 2))
     shifts = jnp.stack(jnp.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-    total = jax.lax.map(
-        lambda shift: sample_at(places + shift[1] * down + shift[0] * right), shifts
-    )
+    total = map_(lambda shift: sample_at(places + shift[1] * down + shift[0] * right), shifts)
     return restore(total.mean(axis=0))

@@ -25,6 +25,7 @@ from ..core._arguments import takes_numbers, warn_of_idle_fill
 from ..core._loops.fusion import materialise
 from ..core._numerics import divide, smallest_divisor
 from ..core._types import as_float, check_count, print_by_name
+from ..core.parallel_loops import scan
 from ._methods import Anchor
 from ._terms import Fill
 from .convolution import _anchor, correlate
@@ -293,7 +294,7 @@ def _correlate_pixels(
         return total, None
 
     start = jnp.zeros((wide.shape[0], h, wide.shape[2], w), wide.dtype)
-    return restore(lax.scan(add_row, start, (jnp.arange(kh), weights))[0])
+    return restore(scan(add_row, start, (jnp.arange(kh), weights))[0])
 
 
 @partial(jax.jit, static_argnames=("profile", "radius", "border"))
@@ -324,7 +325,7 @@ def _radial(
     octets = _octets(radius)
     distance, share = (jnp.asarray(v, wide.dtype) for v in octets[1:])
     start = jnp.zeros((wide.shape[0], h, wide.shape[2], w), wide.dtype), jnp.zeros_like(scale)
-    (total, weights), _ = lax.scan(add_octet, start, (jnp.asarray(octets[0]), distance, share))
+    (total, weights), _ = scan(add_octet, start, (jnp.asarray(octets[0]), distance, share))
     weights = weights[None, :, None]
     middle = wide[:, radius : radius + h, :, radius : radius + w]
     return restore(divide(total, weights, ~(weights <= smallest_divisor(weights.dtype)), middle))

@@ -20,6 +20,7 @@ from ..core._loops.fusion import materialise
 from ..core._numerics import divide, dot, normalize, or_one, smallest_divisor
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, masked, where
+from ..core.parallel_loops import fori_loop
 from ..scene import TriangleMesh
 from ._size import largest_component
 from .hemisphere import Frame, cross, local_frame
@@ -119,7 +120,7 @@ def scan_chunks(step, carry, items, count: int):
             carry = step(carry, number, jax.tree.map(lambda x, at=number: x[at], items))
         return carry
 
-    return jax.lax.fori_loop(0, -(-count // _CHUNK), chunk, carry)
+    return fori_loop(0, -(-count // _CHUNK), chunk, carry)
 
 
 def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:

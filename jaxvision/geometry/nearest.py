@@ -22,6 +22,7 @@ from ..core._numerics import dot, or_one
 from ..core._shown import Shown
 from ..core._types import Scalar, check_kind
 from ..core._vector import Direction, Vec, Vector, as_vec, where
+from ..core.parallel_loops import fori_loop
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
@@ -412,7 +413,7 @@ def _search_chunks(
         )
         return step(carry, start, chunk)
 
-    return jax.lax.fori_loop(0, -(-count // _CHUNK), turn, carry)
+    return fori_loop(0, -(-count // _CHUNK), turn, carry)
 
 
 def _unstack(chunk: Any) -> list[Any]:

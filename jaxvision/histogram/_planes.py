@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from numbers import Integral
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
@@ -17,6 +16,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._numerics import divide
 from ..core._types import is_known, print_by_name
+from ..core.parallel_loops import scan
 
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
 Stack = Shaped[Array, "n _ _ bands"]
@@ -158,7 +158,7 @@ def count(
 
     table = jnp.zeros(nowhere, jnp.int32)
     if whole:
-        table, _ = jax.lax.scan(add, table, entry[:whole].reshape(-1, BLOCK))
+        table, _ = scan(add, table, entry[:whole].reshape(-1, BLOCK))
     if whole < entry.size:
         table, _ = add(table, entry[whole:])
     return table.reshape(groups, bins)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..core._types import Scalar, Scalars
+from ..core.parallel_loops import fori_loop
 
 Stencil = Float[Array, "5 5 h w"]
 Plane = Float[Array, "h w"]
@@ -59,7 +60,7 @@ def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
         return total + sum(stencil[i, j] * band[:, j : j + columns] for j in range(5))
 
     # a loop over rows of taps: all 25 in one expression compile five times longer
-    return jax.lax.fori_loop(0, 5, add_row, jnp.zeros_like(x))
+    return fori_loop(0, 5, add_row, jnp.zeros_like(x))
 
 
 def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:

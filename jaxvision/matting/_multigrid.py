@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..core.parallel_loops import map_
 from ._laplacian import Plane, Stencil, apply_stencil
 
 # of any size, because coarse and fine grids are arguments of one function
@@ -101,7 +102,7 @@ def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
         return restrict(apply_stencil(stencil, fine))
 
     teeth = jnp.asarray(list(product(range(5), repeat=2)))
-    answers = jax.lax.map(respond, teeth)  # (25, rows, columns)
+    answers = map_(respond, teeth)  # (25, rows, columns)
     offsets = np.arange(-2, 3)
     dy, dx = offsets[:, None, None, None], offsets[None, :, None, None]
     tooth = (y + dy) % 5 * 5 + (x + dx) % 5

@@ -27,6 +27,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._shown import Shown
 from ..core._types import as_relative, check_count
+from ..core.parallel_loops import map_
 from ..filters import gaussian
 from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solve, closed_form_matte
 
@@ -129,7 +130,7 @@ def _draw_picture(
         drawn = alpha * front + (1 - alpha) * behind
         return _solve(drawn, trimap, epsilon, confidence, tolerance, STEPS).alpha - alpha
 
-    return jax.lax.map(draw_error, keys)
+    return map_(draw_error, keys)
 
 
 def _side(

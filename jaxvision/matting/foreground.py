@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalar, as_relative, print_by_name
+from ..core.parallel_loops import fori_loop
 from .compositing import checked_alpha
 
 Picture = Float[Array, "h w bands"]
@@ -132,7 +133,7 @@ def _relax(
         f, b = alpha * image + f, rest * image + b
         return (other * f - cross * b) / determinant, (own * b - cross * f) / determinant
 
-    return jax.lax.fori_loop(0, steps, step, (foreground, background))
+    return fori_loop(0, steps, step, (foreground, background))
 
 
 def _neighbours(x: Picture) -> tuple[Picture, Picture, Picture, Picture]:

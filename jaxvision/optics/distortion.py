@@ -13,13 +13,13 @@ Source:
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool
 
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import one_program
 from ..core._numerics import divide, smallest_divisor
 from ..core._types import Scalar
+from ..core.parallel_loops import while_loop
 from ..scene import Distortion
 
 _MOST_STEPS = 60
@@ -149,7 +149,7 @@ def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sc
     # far outside the image, a whole step would overshoot more than halving can correct
     share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
     begin = (0, *start, share, jnp.ones((), bool))
-    _, u, v, *_ = lax.while_loop(lambda state: state[-1], step, begin)
+    _, u, v, *_ = while_loop(lambda state: state[-1], step, begin)
     numbers = (x, y, *jax.tree.leaves(distortion))
     lost = jnp.stack([jnp.isnan(number).any() for number in numbers]).any()
     return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)

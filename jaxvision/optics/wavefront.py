@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, takes_range
 from ..core._types import DIVISOR, Scalar, Scalars, check_count, is_known
+from ..core.parallel_loops import map_
 from ..scene import (
     AnnularAperture,
     Aperture,
@@ -162,7 +163,7 @@ def wavefront_kernel(
     if wavelength.ndim == 0:
         return kernel_at(wavelength)
     lines = wavelength.reshape(len(wavelength), -1)
-    return jax.vmap(lambda band: jax.lax.map(kernel_at, band).mean(axis=0), out_axes=-1)(lines)
+    return jax.vmap(lambda band: map_(kernel_at, band).mean(axis=0), out_axes=-1)(lines)
 
 
 def _polar(radius: Array | float, phase: Array) -> Array:

@@ -36,6 +36,7 @@ from ..core._shown import Shown
 from ..core._types import Colour, Image, Scalar, check_count
 from ..core._vector import as_array
 from ..core._warnings import warn_caller
+from ..core.parallel_loops import fori_loop
 from ..geometry import (
     Encounter,
     Hit,
@@ -855,7 +856,7 @@ def _solve_direction(
         slope, rest = slope / size, missing(u) / size
         return jnp.clip(u - jnp.linalg.solve(slope.T @ slope, slope.T @ rest), 0, 1)
 
-    u = jax.lax.fori_loop(0, _TURNS, turn, start)
+    u = fori_loop(0, _TURNS, turn, start)
     return jnp.where(norm(missing(u)) < 1e-3, u, start)
 
 

@@ -23,6 +23,7 @@ from ..core._random import Stream, Word, lattice_point, seed_of
 from ..core._shown import Shown
 from ..core._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
 from ..core.in_notebooks import picture_html, preview_png
+from ..core.parallel_loops import map_, scan
 from ..geometry import Ray
 from ..optics import view_ray
 from ..point_ops import srgb_encode
@@ -289,7 +290,7 @@ def map_blocks(
         if keep is not None:
             policy = jax.checkpoint_policies.save_only_these_names(*keep)
             function = jax.checkpoint(function, policy=policy)
-        found = jax.lax.map(lambda part: function(*part), parts)
+        found = map_(lambda part: function(*part), parts)
     return jax.tree.map(lambda x: x.reshape(blocks * size, *x.shape[2:])[:count], found)
 
 
@@ -335,9 +336,7 @@ def mean_of_samples(
         )
         return (after, squares), None
 
-    (mean, squares), _ = jax.lax.scan(
-        add, (dark, dark), jnp.arange(0, count, each, dtype=jnp.uint32)
-    )
+    (mean, squares), _ = scan(add, (dark, dark), jnp.arange(0, count, each, dtype=jnp.uint32))
     if count == 1:
         return mean, jax.tree.map(lambda x: jnp.full_like(x, jnp.inf), mean)
     return mean, jax.tree.map(lambda x: safe_sqrt(x / (float(count) * (count - 1))), squares)

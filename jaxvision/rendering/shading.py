@@ -24,6 +24,7 @@ from ..core._loops.bands import MAX_NUMBERS, Bands, plus, split_bands
 from ..core._loops.fusion import fuse
 from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Direction, Vec, Vector, as_vec
+from ..core.parallel_loops import scan
 from ..geometry import Ray, Shapes, sorted_shapes
 from ..geometry.hemisphere import to_local
 from ..lights import (
@@ -213,7 +214,7 @@ def reflected_bands(
         nodes = *light_nodes(source, rule, dtype), visible, own
 
         def add_samples(radiance: Bands) -> Bands:
-            return jax.lax.scan(add, radiance, nodes)[0]
+            return scan(add, radiance, nodes)[0]
 
         if traced is not None:
             return jax.lax.cond(traced, add_samples, lambda dark: dark, radiance), None
@@ -230,7 +231,7 @@ def reflected_bands(
             traced = None
             if light.traced is not None:
                 traced = jnp.stack([light.traced[i] for i in members])
-            radiance, _ = jax.lax.scan(partial(sum_samples, rule), radiance, (group, flags, traced))
+            radiance, _ = scan(partial(sum_samples, rule), radiance, (group, flags, traced))
             continue
         arriving = [incident(light.lights[i], point) for i in members]
         for one, flags in zip(arriving, passes, strict=True):

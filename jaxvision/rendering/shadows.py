@@ -19,6 +19,7 @@ from ..core._loops.groups import UNROLLED
 from ..core._shown import Shown
 from ..core._types import Scalar, common_dtype
 from ..core._vector import Direction, Vector, as_vec
+from ..core.parallel_loops import fori_loop, map_, scan
 from ..geometry import Shapes, Sorted, blocked, occluded, sorted_shapes
 from ..lights import (
     Balanced,
@@ -119,7 +120,7 @@ def visibility(
 
         of_light = partial(samples_that_reach, place, own)
         if extended or len(members) > UNROLLED:
-            flags = list(jax.lax.map(of_light, group))
+            flags = list(map_(of_light, group))
         else:
             flags = [materialise(_light_comes_through, place, lights[i])[None] for i in members]
             flags = [checkpoint_name(flag, TRACED) for flag in flags]
@@ -161,7 +162,7 @@ def visible_in_order(
         rest = rest + radiance[number]
         return rest, rest.max()
 
-    _, rests = jax.lax.scan(add, jnp.zeros_like(radiance[0]), order)
+    _, rests = scan(add, jnp.zeros_like(radiance[0]), order)
     needed = jnp.sum(~(rests <= threshold))  # NaN is traced
 
     def trace(turn: Array, flags: Array) -> Array:
@@ -171,7 +172,7 @@ def visible_in_order(
 
     count = len(order)
     like = jax.eval_shape(reached, jax.tree.map(lambda leaf: leaf[0], group))
-    flags = jax.lax.fori_loop(0, needed, trace, jnp.zeros((count, *like.shape), bool))
+    flags = fori_loop(0, needed, trace, jnp.zeros((count, *like.shape), bool))
     traced = jnp.zeros(count, bool).at[order].set(jnp.arange(count) >= count - needed)
     return checkpoint_name((flags, traced), TRACED)
 
@@ -184,7 +185,7 @@ def samples_that_reach(place: Place, rule: Rule, light: Light) -> Bool[Array, " 
         return clear(place, arriving.direction, _distance(arriving))
 
     dtype = common_dtype(light, place.point)
-    return jax.lax.map(is_visible, light_nodes(light, rule, dtype))
+    return map_(is_visible, light_nodes(light, rule, dtype))
 
 
 def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:

@@ -33,6 +33,7 @@ from ..core._arguments import takes_numbers
 from ..core._loops.fusion import one_program
 from ..core._numerics import polynomial
 from ..core._types import Key, Scalar, Scalars
+from ..core.parallel_loops import fori_loop
 from ..filters.convolution import Settings, Terms, filtered, summed
 from ..scene import BrighterFatter, ShotNoise
 from ._draws import Frame, check_image, needed
@@ -107,7 +108,7 @@ def _gather_in_parts(
             more = count(jax.random.fold_in(needed(key, Frame.SHOT), i), more, shot_noise)
         return held + more
 
-    return jax.lax.fori_loop(0, parts, part, jnp.zeros_like(electrons))
+    return fori_loop(0, parts, part, jnp.zeros_like(electrons))
 
 
 @takes_numbers

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._numerics import log1p, safe_sqrt
 from ..core._types import Key, Scalar
+from ..core.parallel_loops import scan
 from ..scene import ChargeTransfer
 from ._draws import Frame, check_image, gaussian
 from .exposure import Counts
@@ -72,7 +73,7 @@ def _flow(
         return blooming * over + spilt, jnp.minimum(filled, full_well)
 
     rows = jnp.moveaxis(level, -3, 0), jnp.moveaxis(spilt, -3, 0)
-    _, filled = jax.lax.scan(row, jnp.zeros_like(rows[0][0]), rows, reverse=upwards)
+    _, filled = scan(row, jnp.zeros_like(rows[0][0]), rows, reverse=upwards)
     return jnp.moveaxis(filled, 0, -3)
 
 

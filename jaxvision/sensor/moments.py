@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers
 from ..core._types import Scalar, Scalars, check_count, is_known
+from ..core.parallel_loops import scan
 from ..scene import BrighterFatter, FastPoissonShotNoise, PoissonShotNoise, Sensor
 from ._clipped_gaussian import (
     is_narrow,
@@ -550,7 +551,7 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
 
     nothing = jnp.zeros_like(mean)
     counts = jnp.arange(COUNTS, dtype=mean.dtype)
-    (_, first, second), _ = jax.lax.scan(count, (jnp.exp(-mean), nothing, nothing), counts)
+    (_, first, second), _ = scan(count, (jnp.exp(-mean), nothing, nothing), counts)
     return Moments(about + first, jnp.maximum(second - first**2, 0))
 
 

@@ -19,6 +19,7 @@ from ..core._loops.fusion import one_program
 from ..core._monotone import evaluate_monotone, monotone_slopes
 from ..core._numerics import divide
 from ..core._types import Scalars
+from ..core.parallel_loops import fori_loop
 from ..scene import Compression, Nonlinearity, ResponseSpline, ResponseTable
 from ._registry import register_curve, stage_of
 
@@ -217,7 +218,7 @@ def _invert(
         inside = (newton >= below) & (newton <= above)
         return jnp.where(inside, newton, (below + above) / 2), below, above
 
-    found = jax.lax.fori_loop(0, _STEPS, step, ((low + high) / 2, low, high))[0]
+    found = fori_loop(0, _STEPS, step, ((low + high) / 2, low, high))[0]
     slope = value_and_slope(found)[1]
     # one more step, from a constant start, has the derivatives of the inverse
     return found + divide(signal - curve(effect, found), slope, slope > 0)

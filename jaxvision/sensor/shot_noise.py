@@ -39,6 +39,7 @@ from ..core._loops.fusion import one_program
 from ..core._numerics import divide, polynomial, replace_gradient, safe_sqrt, smallest_divisor
 from ..core._random import seed_of
 from ..core._types import Key, Scalars, as_float, is_known
+from ..core.parallel_loops import while_loop
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
     Frame,
@@ -157,7 +158,7 @@ def _rejection_draws(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scala
     def is_left(state: tuple[UInt32[Array, ""], Scalars]) -> Bool[Array, ""]:
         return jnp.isnan(state[1]).any() & (state[0] < MOST_PROPOSALS)
 
-    _, steps = jax.lax.while_loop(is_left, propose, start)
+    _, steps = while_loop(is_left, propose, start)
     return whole + steps
 
 

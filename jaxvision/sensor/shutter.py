@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._numerics import divide
 from ..core._types import Scalar, check_count, is_known
+from ..core.parallel_loops import scan
 from ..scene import RollingShutter
 
 Pictures = TypeVar("Pictures")
@@ -143,4 +144,4 @@ def exposed(
         return reduce(
             lambda total, slot: add(total, slot)[0], zip(times, weights.T, strict=True), start
         )
-    return jax.lax.scan(add, start, (times, weights.T))[0]
+    return scan(add, start, (times, weights.T))[0]

@@ -24,6 +24,7 @@ from ..core._loops.groups import Tree, call_member, fold, group_by_structure, ro
 from ..core._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
 from ..core._types import Colour, Scalar
 from ..core._vector import Vec, as_vec
+from ..core.parallel_loops import scan
 from ..geometry import Ray, has_area, largest_size, offset_length, point_on, surface_area
 from ..lights import (
     Incident,
@@ -223,12 +224,12 @@ def toward_each(
                 toward = _toward(incident_sample(emitter, rule, point, u, weight), everywhere)
             return total + shine(toward), None
 
-        return jax.lax.scan(add_node, total, (nodes, weights))
+        return scan(add_node, total, (nodes, weights))
 
     total = jnp.zeros(bands, dtype)
     for members, group in zip(emitters.members, emitters.groups, strict=True):
         for _, part, rule in split_by_rule(members, group, rules):
-            total, _ = jax.lax.scan(partial(add_emitter, rule), total, part)
+            total, _ = scan(partial(add_emitter, rule), total, part)
     return total
 
 

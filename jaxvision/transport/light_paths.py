@@ -22,6 +22,7 @@ from ..core._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from ..core._random import Stream, seed_of, uniforms
 from ..core._types import Key, Scalar, check_count, check_given
 from ..core._vector import Vec, as_vec
+from ..core.parallel_loops import scan
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
 from ..lights import Emitted, emitted_from_surface, nearest_seen
 from ..optics import (
@@ -142,7 +143,7 @@ def _add_sources(
         return (total, squares.at[pixels].add(values * values, mode="drop")), None
 
     black = jnp.zeros((height * width, world.bands), view.pixel_pitch.dtype)
-    (total, squares), _ = jax.lax.scan(add, (black, black), jnp.arange(0, paths, batch))
+    (total, squares), _ = scan(add, (black, black), jnp.arange(0, paths, batch))
     shape = (height, width, world.bands)
     radiance = (total / paths).reshape(shape)
     variance = (squares / float(paths) ** 2).reshape(shape)
@@ -200,7 +201,7 @@ def _light_path(
 
     ray = Ray(origin, light.ray.direction)
     begin = ray, flux, absorption_around(world.surfaces, ray, bands=world.bands)
-    _, found = jax.lax.scan(jax.checkpoint(step), begin, jnp.arange(depth - 1, dtype=jnp.uint32))
+    _, found = scan(jax.checkpoint(step), begin, jnp.arange(depth - 1, dtype=jnp.uint32))
     return found
 
 

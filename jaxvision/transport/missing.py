@@ -37,6 +37,7 @@ from ..core._maps import ENDS, maps_of, replace_maps
 from ..core._numerics import norm, normalize
 from ..core._types import check_choice, common_dtype
 from ..core._vector import as_array, as_vec, where
+from ..core.parallel_loops import scan
 from ..geometry import Ray, ball_around, has_area, surface_area
 from ..lights import (
     EnvironmentMap,
@@ -597,5 +598,5 @@ def _follow(
 
     ray = Ray(as_vec(ray.origin), as_vec(ray.direction))
     start = ray, distance, jnp.zeros((), jnp.int32)
-    found, _ = jax.lax.scan(step, start, None, length=_FACES)
+    found, _ = scan(step, start, None, length=_FACES)
     return found

@@ -37,6 +37,7 @@ from ..core._numerics import divide, dot
 from ..core._random import Stream, Word, seed_of, uniforms
 from ..core._shown import Shown
 from ..core._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
+from ..core.parallel_loops import fori_loop, scan, while_loop
 from ..geometry import Ray
 from ..rendering import Along, PixelSamples, Traced, photograph
 from ..rendering.pixel_loop import mean_of_samples
@@ -175,20 +176,18 @@ def _walk(
     path = of_each(start)(ray, stream.pixel)
     pieces = method.depth - 1 if depth is None else depth.astype(jnp.uint32) - 1
     if depth is not None and method.roulette is None:
-        path = jax.lax.fori_loop(
-            jnp.zeros((), jnp.uint32), pieces, lambda k, path: step(path, k), path
-        )
+        path = fori_loop(jnp.zeros((), jnp.uint32), pieces, lambda k, path: step(path, k), path)
     elif method.roulette is None:
         if method.depth > _KEPT:
             keep = jax.checkpoint_policies.save_only_these_names(SEARCHED)
             step = jax.checkpoint(step, policy=keep)
-        path, _ = jax.lax.scan(
+        path, _ = scan(
             lambda path, k: (step(path, k), None),
             path,
             jnp.arange(pieces, dtype=jnp.uint32),
         )
     else:
-        _, path = jax.lax.while_loop(
+        _, path = while_loop(
             lambda state: (state[0] < pieces) & jnp.any(state[1].alive),
             lambda state: (state[0] + 1, step(state[1], state[0])),
             (jnp.zeros((), jnp.uint32), path),

@@ -24,6 +24,7 @@ from ..core._numerics import dot
 from ..core._types import Colour, Image, check_count, check_given
 from ..core._vector import Vec, as_array
 from ..core._warnings import one_call
+from ..core.parallel_loops import map_, scan
 from ..geometry import Ray
 from ..geometry.checks import warn_if_coarse
 from ..lights import Quadrature, rules_of
@@ -96,7 +97,7 @@ def ray_tree_radiance(
     def follow(tree: _Tree, k: Array) -> tuple[_Tree, None]:
         return _follow(world, rules, k, tree), None
 
-    tree, _ = jax.lax.scan(follow, _start_tree(world, ray, rays), jnp.arange(rays))
+    tree, _ = scan(follow, _start_tree(world, ray, rays), jnp.arange(rays))
     return tree.radiance
 
 
@@ -125,7 +126,7 @@ def ray_tree_radiances(
         def follow(state: tuple[_Tree, Array], k: Array) -> tuple[tuple[_Tree, Array], None]:
             return _follow_living(world, rules, k, *state), None
 
-        (forest, numbers), _ = jax.lax.scan(follow, (forest, numbers), jnp.arange(rays))
+        (forest, numbers), _ = scan(follow, (forest, numbers), jnp.arange(rays))
         return jnp.zeros_like(forest.radiance).at[numbers].set(forest.radiance)
 
     leaves, tree = jax.tree.flatten(along)
@@ -157,7 +158,7 @@ def _follow_living(
         follow = jax.vmap(lambda tree: _follow(world, rules, k, tree))
         return jax.lax.cond(alive.any(), follow, lambda trees: trees, trees)
 
-    followed = jax.lax.map(block, jax.tree.map(split_into_blocks, (forest, alive)))
+    followed = map_(block, jax.tree.map(split_into_blocks, (forest, alive)))
     forest = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), followed)
     return forest, numbers[order]
 

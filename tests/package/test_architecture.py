@@ -37,6 +37,7 @@ KNOWN_TO_INFERENCE = {
     "jaxvision.core.in_notebooks",
     "jaxvision.core.lazy_names",
     "jaxvision.core.plain_arrays",
+    "jaxvision.core.parallel_loops",
     "jaxvision.files.images",
 }
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxvision import Sensor, ShutterOffset, clipped_moments, expected_signal, signal_variance
+from jaxvision.core.parallel_loops import map_
 from jaxvision.sensor import neighbour_covariances
 
 from ...inference.compiled import compiled_briefly
@@ -277,7 +278,7 @@ def _clipped_moments(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> A
         own, light = _level_sensor(replace(sensor, offset=offset), at)
         return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)], axis=-1)
 
-    return jax.lax.map(
+    return map_(
         lambda offset: jax.vmap(lambda at: moments_at(at, black + offset), out_axes=-1)(lit),
         offsets,
     )

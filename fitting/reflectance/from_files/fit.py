@@ -27,12 +27,12 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision import Vec
+from jaxvision.core.parallel_loops import map_
 
 from ...inference.likelihoods import Gaussian
 from ...inference.parameters import ParameterSpace
@@ -174,9 +174,7 @@ def compared_quantity(
 
 @eqx.filter_jit
 def _columns(model: Model, wi: Vec, wo: Vec, index: float, log_shapes: Array) -> Array:
-    return jax.lax.map(
-        lambda log_shape: unit_brdf(model, jnp.exp(log_shape), wi, wo, index), log_shapes
-    )
+    return map_(lambda log_shape: unit_brdf(model, jnp.exp(log_shape), wi, wo, index), log_shapes)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...programs import targets_cpu
+from ..parallel_loops import map_
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -166,5 +167,5 @@ def vmap_in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
         return jnp.pad(x, around, mode="edge").reshape(tiles, each, *x.shape[1:])
 
     tile = jax.checkpoint(lambda entries: jax.vmap(function)(*entries))
-    found = jax.lax.map(tile, jax.tree.map(cut, trees))
+    found = map_(tile, jax.tree.map(cut, trees))
     return jax.tree.map(lambda x: x.reshape(tiles * each, *x.shape[2:])[:count], found)

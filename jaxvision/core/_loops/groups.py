@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from .._types import Record
+from ..parallel_loops import scan
 
 Tree = TypeVar("Tree")
 
@@ -86,7 +87,7 @@ def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Re
     for members, group in group_by_structure(records):
         result = step(result, records[members[0]])  # of the shape of all later results
         rest = jax.tree.map(lambda leaf: leaf[1:], group)
-        result, _ = jax.lax.scan(lambda so_far, one: (step(so_far, one), None), result, rest)
+        result, _ = scan(lambda so_far, one: (step(so_far, one), None), result, rest)
     return result
 
 

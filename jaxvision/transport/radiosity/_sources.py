@@ -17,6 +17,7 @@ from ...core._loops.fusion import materialise
 from ...core._numerics import divide, dot, normalize
 from ...core._types import Colour, Scalar
 from ...core._vector import Vec, as_array, as_vec
+from ...core.parallel_loops import scan
 from ...geometry import Shapes, Sorted, occluded, offset_origin, sorted_shapes
 from ...geometry.hemisphere import cross
 from ...lights import RectangleLight, Rule, incident_sample, light_nodes, lights_by_rule
@@ -91,7 +92,7 @@ def irradiance_at(
             share = divide(passed, met, met != 0)
             return None, rectangle_irradiance(light, point, normal) * share
 
-        total = total + jax.lax.scan(light_irradiance, None, group)[1].sum(axis=0)
+        total = total + scan(light_irradiance, None, group)[1].sum(axis=0)
     return total
 
 
@@ -117,4 +118,4 @@ def _sum_nodes(
     nodes = light_nodes(light, rule, dtype)
     nothing = jax.eval_shape(node_sum, jax.tree.map(lambda x: x[0], nodes))
     start = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), nothing)
-    return jax.lax.scan(jax.checkpoint(add), start, nodes)[0]
+    return scan(jax.checkpoint(add), start, nodes)[0]

@@ -22,6 +22,7 @@ from ...core._quadrature import KRONECKER_STEPS
 from ...core._random import Stream, uniforms
 from ...core._types import Scalar, check_count
 from ...core._vector import Vec
+from ...core.parallel_loops import fori_loop, map_, scan
 from ...geometry import (
     Sorted,
     occluded,
@@ -73,9 +74,9 @@ def form_factor_table(
     of = _pairs_of(scene, plan, rays, elements)
 
     def rows(receivers: Tile) -> Array:
-        return jax.lax.map(partial(of.factors, receivers), of.senders)
+        return map_(partial(of.factors, receivers), of.senders)
 
-    table = jax.lax.map(rows, of.receivers)  # (tiles, tiles, TILE, TILE)
+    table = map_(rows, of.receivers)  # (tiles, tiles, TILE, TILE)
     table = table.swapaxes(1, 2).reshape(table.shape[0] * TILE, -1)
     return table[: of.counts[0], : of.counts[1]]
 
@@ -118,9 +119,9 @@ def exchanged(
 
         # made from the receivers, so that it varies over devices in the same way
         none = jnp.zeros_like(receivers[0], shape=(TILE, sent.shape[1]), dtype=sent.dtype)
-        return jax.lax.scan(arriving, none, (light, of.senders))[0]
+        return scan(arriving, none, (light, of.senders))[0]
 
-    return jax.lax.map(rows, of.receivers).reshape(-1, sent.shape[1])[: of.counts[0]]
+    return map_(rows, of.receivers).reshape(-1, sent.shape[1])[: of.counts[0]]
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ def _visible_part(
         blocked = occluded(start, element.normal, direction, distance, shapes)
         return seen + jnp.where(blocked, 0, jnp.ones_like(seen))
 
-    return jax.lax.fori_loop(0, rays, ray, jnp.zeros_like(shift[0])) / rays
+    return fori_loop(0, rays, ray, jnp.zeros_like(shift[0])) / rays
 
 
 def _place_above(

@@ -22,6 +22,7 @@ from ...core._numerics import dot
 from ...core._random import Stream
 from ...core._types import Colour, Image, Scalar, check_given
 from ...core._vector import Vec, where
+from ...core.parallel_loops import scan
 from ...geometry import (
     Encounter,
     Hit,
@@ -264,7 +265,7 @@ def _gather_irradiance(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> 
 
     nothing = jnp.zeros(sent.shape[1], sent.dtype)
     points, _ = shifted_lattice(gather.key, gather.samples, nothing.dtype)
-    return jax.lax.scan(jax.checkpoint(add), nothing, points)[0] / gather.samples
+    return scan(jax.checkpoint(add), nothing, points)[0] / gather.samples
 
 
 def _around(

@@ -19,6 +19,7 @@ from ...core._arguments import takes_numbers, takes_range
 from ...core._loops.fusion import one_program
 from ...core._numerics import divide, or_one
 from ...core._types import Range, Scalar, as_float, check_choice, check_shape, print_by_name
+from ...core.parallel_loops import fori_loop, while_loop
 
 if TYPE_CHECKING:
     import lineax
@@ -186,7 +187,7 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
     def reflect(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
         return sent + albedo * (table @ radiosity)
 
-    return jax.lax.fori_loop(0, count, reflect, sent)
+    return fori_loop(0, count, reflect, sent)
 
 
 @takes_numbers
@@ -236,7 +237,7 @@ def shoot(
         return state_of(radiosity + arrived, unshot.at[sender].set(0) + arrived, shots + 1)
 
     begin = state_of(sent, sent, jnp.zeros((), jnp.int32))
-    radiosity, unshot, *_ = jax.lax.while_loop(lambda state: state[-1], shot, begin)
+    radiosity, unshot, *_ = while_loop(lambda state: state[-1], shot, begin)
     return radiosity, unshot
 
 
@@ -261,7 +262,7 @@ def _largest_correction(table: Table, albedo: PatchSpectra) -> Scalar:
         return total + term, term
 
     ones = jnp.ones_like(albedo)
-    total, term = jax.lax.fori_loop(0, _BOUNCES, add_term, (ones, ones))
+    total, term = fori_loop(0, _BOUNCES, add_term, (ones, ones))
     kept = (albedo * (table @ term)).max(axis=0)
     return (divide(total.max(axis=0), 1 - kept, kept < 1, jnp.inf) - 1).max()
 
