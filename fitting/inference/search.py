@@ -538,7 +538,8 @@ def rounding_of_digits(vector: Vector, problem: Problem) -> tuple[Array, Array, 
     values = values_at(problem, vector)
     seen = prediction(problem, values)
     if not eqx.is_inexact_array(seen) or not seen.size:
-        return (jnp.zeros(()),) * 4
+        zero = jnp.zeros(())
+        return zero, zero, zero, zero
     slope = jax.grad(lambda seen: -jnp.sum(datum_terms(problem, values, seen)))
     gradient, bend = jax.jvp(slope, (seen,), (jnp.ones_like(seen),))
     digit = float(jnp.finfo(seen.dtype).eps) * jnp.abs(seen)
