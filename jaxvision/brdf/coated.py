@@ -185,6 +185,8 @@ def _mean_albedo(material: Coated) -> Colour:
 
 
 _POLAR, _AZIMUTHS, _NARROW = 12, 48, 10.0  # _NARROW in sr^-1: a denser lobe is sampled
+_TURNS = 15  # odd number of azimuths at which the share of an anisotropic body is computed
+_AZIMUTHS_OF_SHARES = 2 * np.pi / _TURNS * np.arange(_TURNS)
 _DRAWS = (np.arange(1024)[:, None] * np.array([0.8191725134, 0.6710436067, 0.5497004779])) % 1
 
 
@@ -227,6 +229,25 @@ def _returned_share(material: Coated, w: Vec) -> Colour:
     return jnp.pi * (weights * rings).sum(axis=0) + drawn
 
 
+def _interpolated(shares: Float[Array, "turns order bands"], w: Vec) -> Colour:
+    """Return the share a at a direction outside the coat, from its values at azimuths and at nodes
+    of `_returned_uniform`: a Fourier series, whose terms vanish at the normal."""
+    turns = len(shares)
+    sine = safe_sqrt(w.x * w.x + w.y * w.y)
+    angles = 2 * np.pi / turns * np.outer(np.arange(1, (turns + 1) // 2), np.arange(turns))
+    series = np.concatenate([np.full((1, turns), 0.5), np.cos(angles), np.sin(angles)])
+    usable = sine > smallest_divisor(sine.dtype)
+    x, y = (divide(z, sine, where=usable) for z in (w.x, w.y))
+    powers = [(jnp.ones_like(sine), jnp.zeros_like(sine))]  # of x + i y
+    for _ in range(turns // 2):
+        re, im = powers[-1]
+        powers.append((re * x - im * y, re * y + im * x))
+    harmonics = jnp.stack([re for re, _ in powers] + [im for _, im in powers[1:]])
+    weights = harmonics @ jnp.asarray(2 / turns * series, sine.dtype)
+    place = 1 - safe_sqrt(sine * sine / (1 + w.z))  # 1 - sqrt(1 - cos)
+    return interpolate_legendre((weights[:, None, None] * shares).sum(axis=0), place)
+
+
 def _direction(cosine: Scalar, azimuth: Scalar) -> Vec:
     sine = safe_sqrt(1 - cosine * cosine)
     return Vec(sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine)
@@ -235,26 +256,24 @@ def _direction(cosine: Scalar, azimuth: Scalar) -> Vec:
 def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     """Return a_i a_o / (pi (R - S)), the body's light after at least one return by the interface,
     (bands,) sr^-1, for two directions outside the coat. If the coat absorbs all light, return 0.
-    The share a of an isotropic body depends on the cosine alone. It is computed at a few nodes for
-    all directions together, and interpolated."""
+    The share a is computed at a few nodes for all directions together, and interpolated: over the
+    cosine and, unless the body is isotropic, the azimuth."""
     if isinstance(material.body, Lambert):
         kept = _returned_uniform(material, 12)[1].sum(axis=0)
         whole = jnp.pi * material.body.diffuse
         return whole * whole * kept / (jnp.pi * (1 - whole * kept))
-    isotropic = family(material.body).isotropic(material.body)
-    order = 12 if isotropic else 8
-    cosines, weights = _returned_uniform(material, order, dense="normal" if isotropic else None)
-    # the azimuths differ, for a body that depends on them
-    azimuths = jnp.asarray(2.39996323 * np.arange(len(cosines)), cosines.dtype)
-    shares = jax.vmap(lambda c, phi: _returned_share(material, _direction(c, phi)))(
-        cosines, azimuths
-    )
-    left = weights.sum(axis=0) - (weights * shares).sum(axis=0)
-    if isotropic:
-        places = (1 - safe_sqrt((w.x * w.x + w.y * w.y) / (1 + w.z)) for w in (wi, wo))
-        i, o = (interpolate_legendre(shares[order:], place) for place in places)  # 1 - sqrt(1 - t)
+    order = 12
+    cosines, weights = _returned_uniform(material, order, dense="normal")
+
+    def ring(azimuth: Scalar) -> Float[Array, "n bands"]:
+        return jax.vmap(lambda c: _returned_share(material, _direction(c, azimuth)))(cosines)
+
+    if family(material.body).isotropic(material.body):
+        shares = ring(jnp.zeros((), cosines.dtype))[None]
     else:
-        i, o = (_returned_share(material, _refracted_inside(material, w)) for w in (wi, wo))
+        shares = jax.lax.map(ring, jnp.asarray(_AZIMUTHS_OF_SHARES, cosines.dtype))
+    left = weights.sum(axis=0) - (weights * shares.mean(axis=0)).sum(axis=0)
+    i, o = (_interpolated(shares[:, order:], w) for w in (wi, wo))
     return divide(i * o, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))
 
 

@@ -1,6 +1,6 @@
-"""Rows of docs/coverage.md for edges, sensitivities, mattes and normals under near lights.
+"""Rows of docs/coverage.md for lights, edges, sensitivities, mattes and normals under near lights.
 
-    python tests/benchmarks/interval_coverage.py {edges,sensitivities,mattes,near} [--count N]
+    python tests/benchmarks/interval_coverage.py TABLE [--count N]
 
 Each table takes less than ten minutes of one core. The true values are those of the simulators in
 the tests.
@@ -15,9 +15,11 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import chi2, norm
 
+sys.path.append(str(Path(__file__).parents[1]))
 sys.path.extend(str(room) for room in Path(__file__).parents[1].glob("*/"))
 
 import test_from_edge as edge
+import test_lights_calibration as balls
 import test_matting as matte
 import test_near_lights as near
 import test_sensitivities as colour
@@ -37,6 +39,17 @@ def shares(z) -> list[str]:
     z = np.ravel(z)
     inside = [np.mean(np.abs(z) < ndtri((1 + q) / 2)) for q in (0.5, 0.68, 0.95)]
     return [*(f"{share:.3f}" for share in inside), f"{z.mean():+.2f}", f"{z.std():.2f}"]
+
+
+def lamps(count: int = 200) -> None:
+    """Directions from balls, and a reflectance fitted through those of a mirror ball."""
+    for kind in ("mirror", "matte"):
+        z, square, dof = balls.check_coverage(kind, range(count))
+        joint = np.mean(square < chi2.ppf(0.95, dof))
+        row(kind, f"{np.mean(z < 1.96):.3f}", f"{joint:.3f}", f"{np.mean(square) / dof:.2f}")
+    for shared in (True, False):
+        found = [balls.reflectance_through_lights(k, shared=shared) for k in range(count)]
+        row("reflectance", "covariance" if shared else "independent", count, *shares(found))
 
 
 def edges(count: int = 500) -> None:
@@ -153,7 +166,7 @@ def close(count: int = 10) -> None:
             row(kind, name, count, f"{np.mean(inside):.3f}", shares(z)[2], degrees)
 
 
-TABLES = {"edges": edges, "sensitivities": charts, "mattes": mattes, "near": close}
+TABLES = {"lights": lamps, "edges": edges, "sensitivities": charts, "mattes": mattes, "near": close}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])

@@ -84,8 +84,13 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "body",
-    [jv.OrenNayar([0.3], 0.5), MULTIPLE([1.0], 0.4), jv.Phong([0.1], [0.3], 50.0)],
-    ids=lambda body: type(body).__name__,
+    [
+        jv.OrenNayar([0.3], 0.5),
+        MULTIPLE([1.0], 0.4),
+        jv.Phong([0.1], [0.3], 50.0),
+        jv.TorranceSparrow([0.05], [1.0], [0.3, 0.6]),
+    ],
+    ids=["OrenNayar", "TorranceSparrow", "Phong", "brushed"],
 )
 def test_light_that_returns_to_the_body_by_a_dense_quadrature(body):
     """a_i a_o / (pi (R - S)) under a smooth interface, with Fresnel's formulas and 64 x 180 nodes;
@@ -104,16 +109,19 @@ def test_light_that_returns_to_the_body_by_a_dense_quadrature(body):
         every = jax.vmap(jax.vmap(lambda w: brdf.evaluate(body, w, back)[0]))(to)
         return jnp.pi * weights @ every.mean(axis=1)
 
-    def share(angle):
+    def share(angle, azimuth):
         """The integral of f_b r cos over the hemisphere inside."""
-        return share_toward(brdf.coated.as_vec(towards(angle)))
+        return share_toward(brdf.coated.as_vec(towards(angle, azimuth)))
 
-    outside = np.array([0.1, 0.9, 1.4])
+    outside, azimuths = np.array([0.1, 0.9, 1.4]), np.array([0.3, 1.0, 2.5])
     inside = np.arcsin(np.sin(outside) / eta)
-    lost = weights @ jnp.stack([share(angle) for angle in np.arccos(cosines)])
-    first, *others = (float(share(angle)) for angle in inside)
+    brushed = np.ndim(getattr(body, "roughness", 0)) == 1
+    turns = (np.arange(6) + 0.2) * np.pi / 6 if brushed else [0.0]
+    rings = [[share(angle, phi) for angle in np.arccos(cosines)] for phi in turns]
+    lost = weights @ np.mean(rings, axis=0)
+    first, *others = (float(share(*at)) for at in zip(inside, azimuths, strict=True))
     coat = jv.Coated(body, GLASS, 0.0)
-    light = [brdf.coated.as_vec(towards(angle)) for angle in outside]
+    light = [brdf.coated.as_vec(towards(*at)) for at in zip(outside, azimuths, strict=True)]
     for own, w in zip(others, light[1:], strict=True):
         true = first * own / (np.pi * (weights.sum() - lost))
         found = brdf.coated._further(coat, light[0], w)[0]
