@@ -10,6 +10,7 @@ import numpy as np
 
 from ..files.scenes.schema import RenderEntry
 
+_FEW = 4  # samples below which the error of half of the pictures of two scenes was larger
 _TARGETS = tuple(step * 10.0**power for power in range(0, -9, -1) for step in (3, 1))
 
 
@@ -90,8 +91,10 @@ def cost_sentence(cost: Cost, settings: RenderEntry) -> str:
     samples = f"{settings.samples} sample{'s' * (settings.samples != 1)} a pixel"
     if cost.error is None:
         return f"{samples}: no standard error, {took}."
-    # samples are stratified, except for the independent passes of "light"
-    bound = "" if settings.integrator == "light" else "at most "
+    # The passes of "light" are independent. Other samples are stratified, so that the error is
+    # usually smaller, unless the samples are too few to meet the rare bright paths
+    few = settings.samples < _FEW
+    bound = "" if settings.integrator == "light" else "about " if few else "usually at most "
     sentence = f"{samples}: standard error {bound}{100 * cost.error:.2g} % of the rms radiance"
     sentence += f", {took}"
     target = next((t for t in _TARGETS if 0 < 1.5 * t <= cost.error), None)
