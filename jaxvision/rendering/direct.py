@@ -453,7 +453,7 @@ def render(
         return photograph(along, view, samples, pixels=place, first_sample=first).radiance
 
     rules = rules_of(scene, rule) if can_shade(scene.surfaces) else None
-    own = {"error": jax.lax.stop_gradient(traced.error), "samples": samples}
+    own = {"picture": traced.radiance, "samples": samples}
     return traced.radiance + moving_edges(
         scene, view, edges, camera_radiance, radiance_under, rules, pixels, **own
     )

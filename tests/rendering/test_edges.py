@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import jaxvision as jv
+from jaxvision.rendering import edges
 
 BLACK, GREY = jv.Lambert([0.0]), jv.Lambert([0.5 / np.pi])
 DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
@@ -129,6 +131,70 @@ def test_nothing_is_computed_where_no_edge_moves():
     assert more.cost_analysis()["flops"] == plain.cost_analysis()["flops"] > 0
 
 
+def test_a_half_covered_rectangle_gains_what_its_side_sweeps():
+    """A side at column 2 + x of rows 0.5 to 2.5, which moves by 1, with 3 in front of it."""
+    view = jv.Orthographic([0, 0, 5], DOWN, 1.0, resolution=(4, 5))
+    middles = (np.arange(40) + 0.5) / 40 * 2
+    place = np.float32(np.stack([0.5 + middles, np.full(40, 2.2)], axis=1))
+    along, across, jump = (np.float32([v] * 40) for v in ([2 / 40, 0], [0, 1], [-3, 1]))
+    gained, contrast = jax.jit(edges._integral)(view, place, along, across, np.ones(40, bool), jump)
+    expected = np.zeros((4, 5))
+    expected[1:3, 2] = 1.0
+    np.testing.assert_allclose(gained[..., 0], -3 * expected, atol=1e-5)  # 160 sums
+    np.testing.assert_allclose(gained[..., 1], expected, atol=1e-5)  # 160 sums
+    np.testing.assert_allclose(contrast, 3 * expected, atol=1e-5)  # 160 sums
+
+
+@pytest.mark.parametrize("distance", [3.0, np.inf])
+def test_the_rim_of_a_sphere_is_a_zone(distance):
+    """Archimedes: the area between two heights on the axis to the eye is 2 pi R times their
+    difference. The heights are where the cosine of the angle of view is 0 and the limit."""
+    radius, limit = 0.8, 0.4
+    ball = edges._faces(jv.Scene(jv.Surface(jv.Sphere([1, 2, 3], radius), GREY), []))
+    axis = np.array([2.0, -1, 2]) / 3
+    near = np.isfinite(distance)
+    place = jnp.array([1, 2, 3] + distance * axis if near else axis)
+    eye = edges.Eye(place, at_infinity=not near)
+
+    def area(at):
+        slope = jax.jacfwd(lambda at: edges._face_point(edges._row(ball, 0), at, eye, limit))(at)
+        return jnp.linalg.norm(jnp.cross(*slope.T))
+
+    grid = (np.arange(20) + 0.5) / 20
+    at = jnp.asarray(np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2))
+    found = jax.jit(lambda at: jax.vmap(area)(at).mean())(at)
+
+    def cosine_of_view(height):  # at a height on the axis, by the cosine rule
+        if not near:
+            return height / radius
+        way = np.sqrt(distance**2 + radius**2 - 2 * distance * height)
+        return (distance * height - radius**2) / (radius * way)
+
+    ends = [brentq(lambda z, c=c: cosine_of_view(z) - c, -radius, radius) for c in (0, limit)]
+    np.testing.assert_allclose(found, 2 * np.pi * radius * (ends[1] - ends[0]), rtol=1e-4)
+
+
+def test_more_samples_go_to_pixels_chosen_by_their_edges():
+    """The derivative of a chosen pixel becomes the mean of five groups of samples, whatever the
+    first group is."""
+    rng = np.random.default_rng(3)
+    slopes, contrast = rng.normal(size=(5, 5, 6, 2)), rng.uniform(size=(5, 6))
+    samples = jv.PixelSamples(jax.random.key(0), 4)
+
+    def pixels(theta, _view, place, samples, first):
+        return theta * jnp.asarray(slopes)[first // samples.count][place]
+
+    @jax.jit
+    def gained(theta, contrast):
+        again = lambda theta: (theta, None)  # noqa: E731
+        return edges._sample_edge_pixels(again, theta, 1.0, pixels, samples, contrast)
+
+    gain = gained(1.0, contrast)
+    chosen = contrast >= np.sort(contrast.ravel())[-22]  # as many as pixels on the border
+    expected = np.where(chosen[..., None], slopes.mean(0) - slopes[0], 0)
+    np.testing.assert_allclose(gain, expected, atol=1e-6)
+
+
 NARROW = np.array([0.05, 0, 1]) / np.hypot(0.05, 1)  # direction of a quad's side toward the camera
 
 
@@ -172,6 +238,27 @@ def test_the_rim_of_a_small_ball():
 
     found = jax.jvp(total, (0.75,), (1.0,))[1]
     np.testing.assert_allclose(found, 2 * 0.75 * 2 / 3, rtol=1e-2)
+
+
+@pytest.mark.slow
+def test_further_samples_add_no_bias():
+    """The mean of 200 derivatives of the light of half of a Lambert ball."""
+
+    def total(radius, key):
+        ball = jv.Surface(jv.Sphere([0.1, 0.2, 0], radius), jv.Lambert([1.0]))
+        view = jv.Orthographic([0, 0, 9], DOWN, 0.25, resolution=(16, 16))
+        scene = jv.Scene(ball, jv.DirectionalLight([1, 0, 0], [1.0]))
+        samples = jv.PixelSamples(key, 4)
+        return jv.render(scene, view, samples=samples, edges=jv.Edges()).sum() * 0.25**2
+
+    def derivative(key):
+        return jax.jvp(lambda radius: total(radius, key), (0.75,), (1.0,))[1]
+
+    keys = jax.random.split(jax.random.key(0), 200)
+    found = jax.jit(lambda keys: jax.lax.map(derivative, keys, batch_size=8))(keys)
+    error = np.std(found) / np.sqrt(200)
+    assert error < 1e-3
+    assert abs(np.mean(found) - 2 * 0.75 * 2 / 3) < 4 * error
 
 
 @pytest.mark.slow
