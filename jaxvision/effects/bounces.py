@@ -125,6 +125,19 @@ class Onward:
         total = self.series(least, self.depth - pieces)
         return cells + total[self.sums.cells.surface]
 
+    def of_surface(self, i: int, sent: np.ndarray) -> np.ndarray:
+        """Bound the radiance of each surface, (n, bands), by later reflections of light that
+        surface i reflects from the lamps, `sent` (bands,)."""
+        assert self.depth is not None
+        least = np.zeros_like(self.sums.sent_radiance)
+        least[i] = sent
+        return self.series(least, self.depth - DIRECT)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Flags, (n,): whether a pixel may see a cell of each surface."""
+        return np.logical_or.reduceat(self.sums.seen, starts(self.sums.cells))
+
     @cached_property
     def norm(self) -> float:
         """The norm of the operator T."""
@@ -159,9 +172,11 @@ class Onward:
 
     def lobe_radiance(self, i: int) -> np.ndarray:
         """Bound the mean radiance, (bands,), that the lobe of surface i receives from others."""
-        if self.depth is None:
-            return self.earlier[i]
-        return gathered(self.transport.of_lobes[i : i + 1], self.earlier)[0]
+        return self.earlier[i] if self.depth is None else self._on_lobes[i]
+
+    @cached_property
+    def _on_lobes(self) -> np.ndarray:
+        return _brightest_first(self.transport.of_lobes, self.earlier)
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
         """Return the sum of T^k `sent` over k from 1 to `last`, (n, bands). In a large scene all
@@ -209,6 +224,11 @@ def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
     if shares.size > _ORDERED and np.isfinite(sent).all():
         lit = sent.any(axis=1)
         return np.minimum(shares[:, lit] @ sent[lit], sent.max(0))
+    return _brightest_first(shares, sent)
+
+
+def _brightest_first(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
+    """Return the bound of `gathered` in which the brightest senders have the largest shares."""
     found = np.zeros((len(shares), sent.shape[1]))
     for band, own in enumerate(sent.T):
         order = np.argsort(-own)

@@ -223,24 +223,25 @@ def _largest_sent(
     sums: Sums,
     onward: Onward,
     i: int,
-    reflect_light: Callable[[int, bool], np.ndarray],
+    reflect_light: Callable[[int, bool, slice], np.ndarray],
     others: np.ndarray,
 ) -> np.ndarray:
     """Bound the light in the picture, (bands,), that surface i reflects from all lights and from
     other surfaces. `others`, (bands,), bounds the light from other surfaces. `reflect_light(k,
-    around)` bounds the light of lamp k that each cell reflects, (c, bands), toward the eye or, if
-    `around`, toward any viewer."""
+    around, part)` bounds the light of lamp k that each cell of a slice reflects, (p, bands), toward
+    the eye or, if `around`, toward any viewer."""
     part = part_of(sums.cells, i)
 
     def sent_radiance(around: bool) -> np.ndarray:
-        none = np.zeros((part.stop - part.start, 1)) + others
-        return sum((reflect_light(k, around)[part] for k in range(len(sums.sources))), none)
+        none = np.zeros((part.stop - part.start, sums.spectrum.shape[1])) + others
+        return sum((reflect_light(k, around, part) for k in range(len(sums.sources))), none)
 
+    cells, seen = sent_radiance(False), sums.seen[part, None]
     if onward.depth is None:
-        return np.max(sent_radiance(False), axis=0, initial=0, where=sums.seen[part, None])
-    cells, on = np.zeros((2, len(sums.seen), sums.spectrum.shape[1]))
-    cells[part], on[part] = sent_radiance(False), sent_radiance(True)
-    return pictured(sums, onward(cells, on))
+        return np.max(cells, axis=0, initial=0, where=seen)
+    later = onward.of_surface(i, sent_radiance(True).max(0))
+    found = np.max(later, axis=0, initial=0, where=onward.shown[:, None])
+    return np.maximum(found, np.max(cells + later[i], axis=0, initial=0, where=seen))
 
 
 def _make_lambertian(i: int, bands: int = 1) -> Drop:
@@ -255,8 +256,8 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.lobe_radiance(i))
 
-    def reflect_light(k: int, around: bool) -> np.ndarray:
-        return lobe_sent(sums, k, around=around)
+    def reflect_light(k: int, around: bool, part: slice) -> np.ndarray:
+        return lobe_sent(sums, k, around=around, part=part)
 
     amount = _largest_sent(sums, onward, i, reflect_light, others)
     plain = hasattr(material, "diffuse") and hasattr(material, "specular")
@@ -285,7 +286,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
         times(geometry_of(own, source, near, full)[1][:, None], times(sums.k_lobe[i], spectrum))
         for source, near, spectrum in each
     ]
-    amount = _largest_sent(sums, onward, i, lambda k, _: found[k], others) * (1 - least)
+    amount = _largest_sent(sums, onward, i, lambda k, _, part: found[k][part], others) * (1 - least)
     name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
     return Row(f"{name}.interface", amount, why, None, saves=_REST, part_of=f"{name}.specular")
 
@@ -296,9 +297,9 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
 
-    def reflect_light(k: int, _: bool) -> np.ndarray:
-        even = times(sums.body[k][:, None], times(plain, sums.spectrum[k]))
-        return even + times(sums.facing[k][:, None], times(grazing, sums.spectrum[k]))
+    def reflect_light(k: int, _: bool, part: slice) -> np.ndarray:
+        even = times(sums.body[k][part, None], times(plain, sums.spectrum[k]))
+        return even + times(sums.facing[k][part, None], times(grazing, sums.spectrum[k]))
 
     others = times(np.pi * (plain + 2 * grazing), onward.diffuse_radiance(i))
     amount = _largest_sent(sums, onward, i, reflect_light, others)
@@ -329,9 +330,9 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
     others = times(np.pi * (1 + own.grazing) * k_body, onward.diffuse_radiance(i))
     others = others + times(_size(own.lobe) * of_lobe * sums.k_lobe[i], onward.lobe_radiance(i))
 
-    def reflect_light(k: int, around: bool) -> np.ndarray:
-        body = times(sums.body[k][:, None], times(k_body, sums.spectrum[k]))
-        return body + times(of_lobe, lobe_sent(sums, k, around=around))
+    def reflect_light(k: int, around: bool, part: slice) -> np.ndarray:
+        body = times(sums.body[k][part, None], times(k_body, sums.spectrum[k]))
+        return body + times(of_lobe, lobe_sent(sums, k, around=around, part=part))
 
     amount = _largest_sent(sums, onward, i, reflect_light, others)
     if field == "ambient":

@@ -308,10 +308,10 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
     return total if only is None else np.where(only[:, None], total, 0)
 
 
-def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
-    """Bound the light of source k by the lobe of each cell, (c, bands), as in `sent`."""
-    own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
-    return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
+def lobe_sent(sums: Sums, k: int, *, around: bool = False, part: slice = slice(None)) -> np.ndarray:
+    """Bound the light of source k by the lobe of each cell of a slice, (c, bands), as in `sent`."""
+    own = times(sums.k_lobe[sums.cells.surface[part]], sums.spectrum[k])
+    return times((sums.lobe_around if around else sums.lobe)[k][part, None], own)
 
 
 def direct_radiance(sums: Sums, radiance: np.ndarray) -> np.ndarray:

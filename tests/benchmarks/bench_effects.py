@@ -141,8 +141,10 @@ def of_processor(call):
     return time.process_time() - start
 
 
-@pytest.mark.parametrize(("surfaces", "allowed"), [(15, 0.5), (300, 1.0)])
-def test_inspection_is_quick(surfaces, allowed):
+@pytest.mark.parametrize(
+    ("surfaces", "depth", "allowed"), [(15, None, 0.5), (300, None, 1.0), (1000, 6, 4.0)]
+)
+def test_inspection_is_quick(surfaces, depth, allowed):
     rng = np.random.default_rng(0)
     balls = [
         jv.Surface(jv.Sphere(c, 0.02), jv.Phong([0.1] * 3, [0.1] * 3, 20.0))
@@ -150,8 +152,8 @@ def test_inspection_is_quick(surfaces, allowed):
     ]
     scene = room([POINT, FAR, DARK])
     scene = replace(scene, surfaces=(*scene.surfaces, *balls))
-    effects.inspect(scene, VIEW)
-    taken = min(of_processor(lambda: effects.inspect(scene, VIEW)) for _ in range(3))
+    effects.inspect(scene, VIEW, depth=depth)
+    taken = min(of_processor(lambda: effects.inspect(scene, VIEW, depth=depth)) for _ in range(3))
     print(f"inspect, {surfaces} surfaces, 3 lights: {taken:.3f} s of the processor")
     assert taken <= allowed
 
