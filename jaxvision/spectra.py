@@ -25,6 +25,7 @@ from .core._types import (
     Spectrum,
     check_choice,
     is_known,
+    name_above,
     print_by_name,
     require_metres,
 )
@@ -56,6 +57,9 @@ _SPRAGUE = (
 _SPRAGUE_BEFORE = (
     np.array([[884, -1960, 3033, -2648, 1080, -180], [508, -540, 488, -367, 144, -24]]) / 209
 )
+
+
+_MOST_REFLECTED = 5.0  # largest reflectance without a warning; fluorescence exceeds 1
 
 
 @takes_numbers
@@ -249,6 +253,7 @@ def reflectance_to_xyz(
         CIE 15:2018, section 7.1.
     """
     _check_visible("reflectance_to_xyz: wavelengths", wavelengths)
+    name_above("the reflectance", reflectance, _MOST_REFLECTED, "divide per cent by 100")
     weights = observer * (illuminant * band_widths(wavelengths))[:, None]
     return reflectance @ (weights / jnp.sum(weights[:, 1]))
 

@@ -86,7 +86,7 @@ def inspect(
 ) -> None:
     """Print range, moments and saturation of each channel. With --out, draw the picture,
     histograms, a scan line, a grid of values and the surface in one figure."""
-    from ..files.image_settings import read_settings
+    from ..files.image_settings import largest_code
     from ..files.images import read_channels, replaced_on_success
 
     pixel = _pair("--at", at) if at else None
@@ -94,8 +94,8 @@ def inspect(
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
     image, names = read_channels(file, part=int(part) if part.isdecimal() else part or None)
-    bits = read_settings(file).bits if white is None else None
-    white = 2.0**bits - 1 if bits else white
+    if white is None and image.dtype.kind in "iu" and image.size:
+        white = largest_code(file, image)
     _prepare()
     from .. import plots
 

@@ -2,10 +2,11 @@
 from 0 to 2 pi rad."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
-from ..core._types import Scalars, refuse_codes
+from ..core._arguments import takes_numbers, warn_caller
+from ..core._types import Scalars, is_known, refuse_codes
 from ._components import (
     Colours,
     chroma_of,
@@ -18,6 +19,9 @@ from ._components import (
 )
 
 _BREAK = 6 / 29
+# medians of Y, in units of the white, that per cent beside 1 have
+_BRIGHTEST, _LARGEST = 4.0, 200.0
+_DARKEST, _COLOURS, _PER_CENT = 0.012, 16, 50.0  # largest share, of at least 16 colours
 
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
@@ -37,6 +41,22 @@ def _inverse_lightness(above: Scalars) -> Scalars:
     return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
 
 
+def _check_scale(xyz: Colours, white: Float[Array, "3"]) -> None:
+    """Raise `ValueError` for codes, and warn about known XYZ of another scale than the white's: up
+    to 100 beside a white of Y = 1, or up to 1 beside a white of Y = 100."""
+    refuse_codes(xyz)
+    if not (is_known(xyz) and is_known(white)) or not np.size(xyz) or not white[1] > 0:
+        return
+    shares = np.asarray(xyz, float)[..., 1] / float(white[1])
+    above = _BRIGHTEST < np.median(shares) <= _LARGEST
+    below = shares.size >= _COLOURS and white[1] >= _PER_CENT and shares.max() < _DARKEST
+    if above or below:
+        warn_caller(
+            f"Y goes up to {shares.max() * float(white[1]):.4g} beside a white of Y = "
+            f"{float(white[1]):.4g}, as if one of them were in per cent: scale both alike."
+        )
+
+
 @takes_numbers
 def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
     """Convert XYZ to CIE 1976 L*, a*, b*.
@@ -53,7 +73,7 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
     Source: CIE 15:2018, 8.2.1.
     """
-    refuse_codes(xyz)
+    _check_scale(xyz, white)
     thirds = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
     (fx, x_0), (fy, y_0), (fz, z_0) = thirds
     a, b = (fx - fy) + (x_0 - y_0), (fy - fz) + (y_0 - z_0)
@@ -96,7 +116,7 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
     Source: CIE 15:2018, 8.2.2.
     """
-    refuse_codes(xyz)
+    _check_scale(xyz, white)
     x, y, z = parts(xyz)
     fy, y_0 = _lightness(y / white[1])
     lightness = 116 * (fy + y_0)

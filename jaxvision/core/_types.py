@@ -23,6 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from ..errors import InputError, shorten
+from ._warnings import warn_caller
 from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
@@ -219,6 +220,16 @@ def refuse_codes(values: Any) -> None:
             f"colours are relative to 1, got whole numbers up to {largest:g}: divide the codes by "
             f"the largest that the file can hold, such as {255 if largest <= 255 else 65535}."
         )
+
+
+def name_above(what: str, values: Any, most: float, remedy: str) -> None:
+    """Warn if known numbers that are relative to 1 exceed it by far, as means of codes from 0 to
+    255, or per cent, do. Infinity does not count."""
+    if is_known(values) and np.size(values):
+        known = np.asarray(values)
+        largest = float(np.max(known, initial=0, where=np.isfinite(known)))
+        if largest > most:
+            warn_caller(f"{what} goes up to {largest:g}, where 1 is white: {remedy}.")
 
 
 def as_dtype(record: Record, dtype: Any) -> Record:

@@ -122,7 +122,7 @@ _SRGB_D50 = {
     b"gXYZ": (0.3851, 0.7169, 0.0971),
     b"bXYZ": (0.1431, 0.0606, 0.7141),
 }
-_HALF, _OFF = 0.2140, 0.03  # light of half the largest sRGB code, and deviation that is named
+HALF, OFF = 0.2140, 0.03  # light of half the largest sRGB code, and deviation that is named
 
 
 def icc_differences(profile: bytes, name: str) -> list[str]:
@@ -139,13 +139,13 @@ def icc_differences(profile: bytes, name: str) -> list[str]:
         np.abs(np.frombuffer(place, ">i4", 3, 8) / 65536 - _SRGB_D50[tag]).max()
         for tag, place in places.items()
     ]
-    if max(off, default=0.0) > _OFF:
+    if max(off, default=0.0) > OFF:
         found.append(f"its primaries ({called}): colours are as stored")
     half = _light_of_half(tags.get(b"gTRC", tags.get(b"kTRC", b"")))
-    if half is not None and abs(half - _HALF) > _OFF:
+    if half is not None and abs(half - HALF) > OFF:
         found.append(
             f"its tone curve ({called}: half of the largest code is {half:.2g} of the light, "
-            f"where sRGB has {_HALF:.2g}): codes are as stored"
+            f"where sRGB has {HALF:.2g}): codes are as stored"
         )
     return found
 

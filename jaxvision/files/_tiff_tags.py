@@ -14,6 +14,7 @@ _QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
 ALPHA, MULTIPLIED = 338, 1  # kind of an extra channel: alpha by which colours are multiplied
 GDAL_WORDS, GDAL_MISSING = 42112, 42113  # XML with scale and offset, among others; a number as text
+TRANSFER, PRIMARIES = 301, 319  # a tone curve with a value a code; x, y of R, G and B
 SAMPLE_FORMAT = 339  # 1: whole numbers without a sign, 3: floating numbers
 BLACKS_SIZE, BLACKS, BLACKS_ALONG = 50713, 50714, (50715, 50716)  # of DNG: rows and columns; levels
 CFA_SIZE, CFA_COLOURS = 33421, 33422

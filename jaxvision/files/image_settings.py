@@ -96,6 +96,15 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
     return _exif_settings(file, _attributes(file))
 
 
+def largest_code(path: str | os.PathLike[str], codes: np.ndarray) -> float:
+    """Return the largest code that an image file can hold, DN, for `codes` from `read_image`: 15
+    for a PNG of 4 bits. The end of the array's type would be 17 times too large for it."""
+    settings = read_settings(path)
+    largest = float(np.iinfo(codes.dtype).max)
+    stated = settings.saturation or (2.0**settings.bits - 1 if settings.bits else largest)
+    return stated if codes.max() <= stated else largest  # a stated depth that the codes contradict
+
+
 def _attributes(file: Path) -> dict[str, Any]:
     """Read EXIF values that are single numbers or words, by OpenImageIO's names."""
     import OpenImageIO as oiio

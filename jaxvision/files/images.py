@@ -30,8 +30,16 @@ from ..core.interrupts import removed_if_interrupted
 from ..core.plain_arrays import plain_array
 from ..errors import InputError, check_utf8, nearest, unwritable
 from . import _tiff_tags as tiff
+from ._heads import (
+    HALF,
+    OFF,
+    PngChunks,
+    icc_differences,
+    jpeg_extras,
+    png_chunks,
+    targa_bits,
+)
 from ._heads import PALETTE as PNG_PALETTE
-from ._heads import PngChunks, icc_differences, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
 from ._plain_content import damaged, file_at
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
@@ -53,6 +61,7 @@ _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
 # the names that plots use
 _NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
+_LOSSY, _LOSSY_HALF = ("dwaa", "dwab", "jpeg"), ("b44", "b44a")  # of EXR and TIFF
 # largest number of pixels by which a display window may exceed the stored data of an EXR
 _MOST_ADDED = 1 << 26
 
@@ -342,7 +351,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     rest = [name for name in own if own[name] not in chosen]
     unnamed = all(re.fullmatch(r"channel\d+|A", name) for name in rest)
     if not chosen or (picture == "rgb" and unnamed):  # by position, as arrays are written
-        chosen = [*own.values()]
+        chosen = sorted(own.values(), key=lambda i: _order(spec.channelnames[i], i))
     elif "a" in known:
         chosen.append(known["a"])
     unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
@@ -359,6 +368,13 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     if picture not in ("rgb", "y"):
         return chosen, tuple(own_names)
     return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)
+
+
+def _order(name: str, index: int) -> tuple[float, int]:
+    """Return the sort key of a channel. An EXR holds its channels in alphabetical order, in which
+    channel10 precedes channel4."""
+    number = re.search(r"\d+(?:[.,]\d+)?", name.rpartition(".")[2])
+    return (float(number[0].replace(",", ".")) if number else -1, index)
 
 
 def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
@@ -482,6 +498,7 @@ def _warn_of_unused(
         unused.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
     if page:
         unused += _gdal_scaling(page)
+        unused += _tiff_colours(page, profiled=profile is not None)
     words = spec.get_string_attribute("ImageDescription")
     calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
     plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
@@ -490,6 +507,29 @@ def _warn_of_unused(
         unused.append(f"its calibration by ImageJ ({settings}): the codes are as stored")
     if unused:
         warn(f"{file}: not used: {'; '.join(unused)}.")
+    compression = spec.get_string_attribute("compression").partition(":")[0]
+    half = "half" in map(str, spec.channelformats or [spec.format])
+    if kind != "jpeg" and (compression in _LOSSY or (compression in _LOSSY_HALF and half)):
+        warn(
+            f"{file}: its compression ({compression}) is lossy: the numbers are not those that "
+            "were written; for measurements write it with zip."
+        )
+
+
+def _tiff_colours(page: TiffPicture, *, profiled: bool) -> Iterator[str]:
+    """Describe a tone curve and primaries in a TIFF's own tags that are not those of sRGB."""
+    curve = np.array(page.values.get(tiff.TRANSFER, ()))
+    bits = page.first(tiff.BITS, 1)
+    if not profiled and bits <= 16 and curve.size in (1 << bits, 3 << bits):
+        half = float(curve[round(0.5 * (2**bits - 1))] / 65535)
+        if abs(half - HALF) > OFF:
+            yield (
+                f"its tone curve (TransferFunction: half of the largest code is {half:.2g} of the "
+                f"light, where sRGB has {HALF:.2g}): codes are as stored"
+            )
+    primaries = np.array(page.values.get(tiff.PRIMARIES, ()))
+    if not profiled and primaries.shape == (6,) and np.abs(primaries - REC_709[:6]).max() > 0.01:
+        yield f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})"
 
 
 def _gdal_scaling(page: TiffPicture) -> list[str]:

@@ -15,7 +15,17 @@ from ..core._powers import (
     power_in_parts,
     power_of_sum,
 )
-from ..core._types import DIVISOR, Scalars, as_relative, check_choice, refuse_codes
+from ..core._types import (
+    DIVISOR,
+    Scalars,
+    as_relative,
+    check_choice,
+    name_above,
+    refuse_codes,
+)
+
+# largest encoded value without a warning: 130 times white by sRGB's curve
+MOST_ENCODED, _DIVIDE = 8.0, "divide codes by the largest one, such as 255"
 
 
 @takes_numbers
@@ -68,6 +78,7 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
         0.2176
     """
     refuse_codes(encoded := as_relative(encoded))
+    name_above("the encoded picture", encoded, MOST_ENCODED, _DIVIDE)
     return _raise_to_power(encoded, exact(gamma, encoded.dtype), method)
 
 
@@ -139,6 +150,7 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
         0.214
     """
     refuse_codes(encoded := as_relative(encoded))
+    name_above("the encoded picture", encoded, MOST_ENCODED, _DIVIDE)
     curved = is_above(encoded, Fraction("0.04045"))
     base = jnp.where(encoded < 0.02, 1, encoded)
     if method == "power":

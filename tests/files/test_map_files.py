@@ -3,7 +3,9 @@ that of its number in the file."""
 
 import base64
 import json
+import struct
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -48,6 +50,69 @@ f0 = { texels = [[0.1, 0.3]] }""",
     (tmp_path / "a.toml").write_text(made.replace("channel = 1", "channel = 3"))
     with pytest.raises(InputError, match=r"roughness: a map has rows, columns and channels"):
         read_scene(tmp_path / "a.toml")
+
+
+def grey_png(path, codes, bits, chunks=()):
+    """A grey PNG packed by hand (ISO/IEC 15948), of codes below 2^bits."""
+
+    def chunk(kind, content):
+        check = zlib.crc32(kind + content)
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+    rows = b""
+    for row in codes:
+        digits = "".join(format(int(code), f"0{bits}b") for code in row)
+        digits += "0" * (-len(digits) % 8)
+        rows += b"\0" + int(digits, 2).to_bytes(len(digits) // 8, "big")
+    head = struct.pack(">IIBBBBB", len(codes[0]), len(codes), bits, 0, 0, 0, 0)
+    made = [(b"IHDR", head), *chunks, (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*one) for one in made))
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"),
+    [
+        *(("1.png", 1), ("2.png", 3), ("4.png", 15), ("8.png", 255), ("16.png", 65535)),
+        *(("sbit.png", 4095), ("contradicted.png", 65535), ("100.pgm", 100), ("1023.pgm", 1023)),
+    ],
+)
+def test_a_map_of_any_depth_ends_at_its_files_largest_code(name, largest, tmp_path):
+    """White of the picture is 1, whatever the bits: 1 of 1 bit, 4095 of 12 in 16."""
+    codes = np.round(largest * np.array([[0, 1 / 3], [0.7, 1]])).astype(int)
+    stem, file = name.partition(".")[0], tmp_path / name
+    if name == "sbit.png":  # 12 bits, repeated to 16
+        grey_png(file, codes * 16 + codes // 256, 16, [(b"sBIT", b"\x0c")])
+    elif name == "contradicted.png":
+        grey_png(file, codes, 16, [(b"sBIT", b"\x0c")])
+    elif name.endswith(".png"):
+        grey_png(file, codes, int(stem))
+    else:
+        kind = ">u2" if largest > 255 else "u1"
+        file.write_bytes(b"P5\n2 2\n%d\n" % largest + codes.astype(kind).tobytes())
+    made = BALL.replace(
+        'family = "lambert"\nalbedo = [0.2, 0.2, 0.2]',
+        'family = "torrance_sparrow"\nalbedo = [0.2, 0.2, 0.2]\n'
+        f'f0 = [0.04, 0.04, 0.04]\nroughness = {{ map = "{name}" }}',
+    )
+    (tmp_path / "a.toml").write_text(made)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        (surface,) = read_scene(tmp_path / "a.toml").scene.surfaces
+    wanted = codes / largest
+    np.testing.assert_allclose(surface.material.roughness.values, wanted, atol=1e-6)
+
+
+def test_a_texture_of_gltf_of_4_bits_is_no_darker(tmp_path):
+    codes = np.array([[0, 5], [10, 15]])
+    paint = {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}
+    with pytest.warns(UserWarning, match="its coat"):
+        textured(tmp_path, pbrMetallicRoughness=paint)
+    grey_png(tmp_path / "codes.png", codes, 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = read_scene(tmp_path / "a.gltf").scene
+    found = np.asarray(scene.surfaces[0].material.diffuse.values)[..., 0]
+    np.testing.assert_allclose(found / found.max(), linear(codes * 17), atol=1e-5)
 
 
 def test_a_material_with_a_map_is_read_back(tmp_path):

@@ -115,6 +115,19 @@ def test_merl_round_trip(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.binary"]
 
 
+def test_a_merl_head_in_another_order_is_named(tmp_path, monkeypatch):
+    """A head of 180 x 90 x 90 bins for 90 x 90 x 180; here of fewer bins."""
+    monkeypatch.setattr(files.merl, "OF_DATABASE", SHAPE)
+    data, _ = oracle.merl_bytes(reflectance, SHAPE)
+    turned = struct.pack("<3i", *SHAPE[::-1]) + data[12:]
+    with pytest.warns(UserWarning, match="correct the head"):
+        files.read_merl(write(tmp_path, "1", turned))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        files.read_merl(write(tmp_path, "2", data))
+    assert not any("correct the head" in str(w.message) for w in said)
+
+
 def test_wrong_merl_files_are_named(tmp_path):
     data, _ = oracle.merl_bytes(reflectance, SHAPE)
     swapped, _ = oracle.merl_bytes(reflectance, SHAPE, order=">")

@@ -1,6 +1,7 @@
 """Image files that other programs write: codes, channels, windows and parts as the file has them,
 by packers and formulas of their own."""
 
+import re
 import struct
 import warnings
 import zlib
@@ -60,8 +61,9 @@ def write_tiff(
         table, blobs = struct.pack(order + "H", len(entries)), b""
         for tag in sorted(entries):
             kind, values = entries[tag]
-            raw = struct.pack(f"{order}{len(values)}{ {1: 'B', 3: 'H', 4: 'I'}[kind] }", *values)
-            table += struct.pack(order + "HHI", tag, kind, len(values))
+            letter = {1: "B", 3: "H", 4: "I", 5: "I"}[kind]
+            raw = struct.pack(f"{order}{len(values)}{letter}", *values)
+            table += struct.pack(order + "HHI", tag, kind, len(values) // (1 + (kind == 5)))
             if len(raw) > 4:
                 table += struct.pack(order + "I", after + len(blobs))
                 blobs += raw
@@ -497,6 +499,64 @@ def test_xyz_is_named(layer, called, tmp_path):
     write_exr(tmp_path / "a.exr", [layer + name for name in "XYZ"])
     with pytest.warns(UserWarning, match=f"holds {called}, not R, G and B"):
         assert read_channels(tmp_path / "a.exr")[1] == ("X", "Y", "Z")
+
+
+@pytest.mark.parametrize("count", [3, 12, 105])
+def test_many_channels_of_an_exr_keep_their_order(count, tmp_path):
+    """The format's own order is that of the alphabet, channel10 before channel4."""
+    pixels = np.arange(2 * 3 * count, dtype=np.float32).reshape(2, 3, count)
+    write_image(tmp_path / "a.exr", pixels)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), pixels)
+
+
+def test_bands_of_an_exr_are_in_the_order_of_their_wavelengths(tmp_path):
+    write_exr(tmp_path / "a.exr", ["1000nm", "450nm", "650,5nm"])
+    assert read_channels(tmp_path / "a.exr")[1] == ("450nm", "650,5nm", "1000nm")
+
+
+@pytest.mark.parametrize("compression", ["dwaa", "dwab", "b44", "b44a", "zip", "piz", "pxr24"])
+@pytest.mark.parametrize("sample", ["half", "float"])
+def test_a_lossy_compression_is_named(compression, sample, tmp_path):
+    """Named wherever numbers come back otherwise than they were written, beyond 1e-4."""
+    written = np.random.default_rng(0).uniform(0, 1, (64, 64, 3)).astype(np.float16)
+    spec = oiio.ImageSpec(64, 64, 3, sample)
+    spec.attribute("compression", compression)
+    out = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert out.open(str(tmp_path / "a.exr"), spec)
+    out.write_image(written.astype(np.float32))
+    out.close()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        read = read_image(tmp_path / "a.exr")
+    lost = np.abs(read - written).max()
+    named = [f"its compression ({compression}) is lossy" in str(w.message) for w in said]
+    assert named == [True] * int(lost > 1e-4), lost
+
+
+def test_a_tiff_in_jpeg_is_named(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    codes = np.random.default_rng(0).integers(0, 256, (16, 16, 3), np.uint8)
+    image.fromarray(codes).save(tmp_path / "a.tif", compression="jpeg")
+    with pytest.warns(UserWarning, match=r"compression \(jpeg\) is lossy"):
+        read_image(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(
+    ("tag", "values", "said"),
+    [
+        (301, (3, [257 * i for i in range(256)]), r"TransferFunction: half .* is 0\.5 of the"),
+        (301, (3, [round(65535 * (i / 255) ** 2.2) for i in range(256)]), None),
+        (319, (5, [64, 100, 33, 100, 21, 100, 71, 100, 15, 100, 6, 100]), r"primaries \(0\.64, 0"),
+        (319, (5, [64, 100, 33, 100, 30, 100, 60, 100, 15, 100, 6, 100]), None),
+    ],
+)
+def test_colours_in_the_tags_of_a_tiff_are_named(tag, values, said, tmp_path):
+    codes = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    write_tiff(tmp_path / "a.tif", codes, 8, tags=[(tag, values)])
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), codes)
+    assert [bool(said and re.search(said, str(w.message))) for w in found] == [True] * bool(said)
 
 
 def test_a_grey_gif_is_grey(tmp_path):

@@ -4,11 +4,13 @@ import warnings
 from pathlib import Path
 
 import colour
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.constants import c, h, k
 from scipy.stats import norm
 
+import jaxvision as jv
 from jaxvision.colour_spaces.colour_data import illuminant
 from jaxvision.errors import InputError
 from jaxvision.files.scenes.bands import Bands, Tabulated, band_values, bands_of
@@ -247,3 +249,11 @@ def test_radio_waves_have_a_black_body():
     with pytest.warns(UserWarning, match="a radio wave"):
         total = integrate_spectrum(blackbody(long, 300.0), long)
     np.testing.assert_allclose(total * np.pi, 5.670374e-8 * 300**4, rtol=1e-3)
+
+
+def test_a_reflectance_in_per_cent_is_named():
+    grid = jv.colour_spaces.wavelength_grid(step=20e-9)
+    light, eye = jv.colour_spaces.illuminant("D65", grid), jv.colour_spaces.observer(grid)
+    with pytest.warns(UserWarning, match="up to 50, where 1 is white: divide per cent by 100"):
+        jv.spectra.reflectance_to_xyz(jnp.full(grid.shape, 50.0), grid, eye, light)
+    jv.spectra.reflectance_to_xyz(jnp.full(grid.shape, 1.5), grid, eye, light)

@@ -365,3 +365,16 @@ def test_unknown_names_list_the_known():
         cs.adapt(*map(jnp.asarray, (XYZ, WHITE, WHITE)), method="x")
     with pytest.raises(InputError, match=r"No luma standard 'x'.*BT.709"):
         cs.rgb_to_ycbcr(jnp.asarray(RGB), standard="x")
+
+
+@pytest.mark.parametrize("convert", [cs.xyz_to_lab, cs.xyz_to_luv])
+def test_xyz_of_another_scale_than_the_white_is_named(convert):
+    """L* of 522 for a white of Y = 1, of 9 at most for one of Y = 100; of the same scale, of one
+    dark colour and of a lamp in the picture nothing is said."""
+    with pytest.warns(UserWarning, match=r"Y goes up to 100 beside a white of Y = 1,"):
+        convert(100 * jnp.asarray(WHITE), WHITE)
+    with pytest.warns(UserWarning, match=r"beside a white of Y = 100,"):
+        convert(XYZ, 100 * WHITE)
+    for colours, white in ((XYZ, WHITE), (100 * XYZ, 100 * WHITE), (XYZ[:1], 100 * WHITE)):
+        convert(colours, white)
+    convert(np.concatenate([XYZ, 1000 * XYZ[:1]]), WHITE)

@@ -403,3 +403,11 @@ def test_codes_are_no_colours(as_for_users):
         vignette(jnp.ones(3), FALLOFF)
     with pytest.raises(ValueError, match=r"a last axis of 3, got shape \(2, 4\)"):
         lookup_3d(jnp.ones((2, 4)), jnp.ones((2, 2, 2, 1)))
+
+
+@pytest.mark.parametrize("decode", [srgb_decode, lambda x: gamma_decode(x, 2.2)])
+def test_encoded_values_far_above_white_are_named(decode):
+    """Means of codes, which are no whole numbers; 1.5 lies outside of a gamut or a range."""
+    with pytest.warns(UserWarning, match=r"up to 200\.5, where 1 is white: divide codes"):
+        decode(jnp.asarray([[0.0, 127.25, 200.5]]))
+    decode(jnp.asarray([[-0.1, 0.5, 1.5, jnp.inf, jnp.nan]]))

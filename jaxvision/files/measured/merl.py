@@ -75,6 +75,12 @@ def read_merl(
             f"{file}: the header gives {shape} bins, which is not a MERL file; take the .binary "
             "file of the MERL database."
         )
+    if shape != OF_DATABASE and sorted(shape) == sorted(OF_DATABASE):
+        warn(
+            f"{file}: its head gives {shape} bins, where files of the MERL database have "
+            f"{OF_DATABASE}; if its values are in the order of the database, all of them are at "
+            "wrong angles: correct the head."
+        )
     expected = 12 + 3 * 8 * int(np.prod(shape))
     if len(data) != expected:
         raise InputError(

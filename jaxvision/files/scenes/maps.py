@@ -21,6 +21,7 @@ from ...core._warnings import warn
 from ...errors import InputError
 from ...point_ops import srgb_decode
 from ...scene import Map, Quad, Shape, TriangleMesh
+from ..image_settings import largest_code
 from ..images import read_image
 from .bands import Bands
 from .folder import Folder
@@ -68,9 +69,10 @@ def make_map(
     if (map is None) == (texels is None):
         raise InputError("give either map, the name of a picture, or texels.")
     if map is not None:
-        values = read_image(folder.file(map))
+        picture = folder.file(map)
+        values = read_image(picture)
         if np.issubdtype(values.dtype, np.integer):
-            values = values / np.iinfo(values.dtype).max
+            values = values / largest_code(picture, values)
             if (encoding or ("srgb" if stands_for == "spectrum" else "linear")) == "srgb":
                 values = np.asarray(srgb_decode(jnp.asarray(values, float)))
     else:

@@ -10,6 +10,7 @@ from ....errors import InputError
 from ....point_ops import srgb_decode
 from ..._plain_content import unlike
 from ...gltf import Gltf, image_bytes
+from ...image_settings import largest_code
 from ...images import read_image
 from .contents import Content, Sampler, Used
 
@@ -41,7 +42,7 @@ def texels_of(
         picture.write(data)
         picture.flush()
         codes = read_image(picture.name)
-    values = np.atleast_3d(codes / np.iinfo(codes.dtype).max)
+        values = np.atleast_3d(codes / largest_code(picture.name, codes))
     if values.shape[2] < 3:
         values = np.repeat(values[..., :1], 3, axis=2)
     values = values[..., :3]
