@@ -41,13 +41,12 @@ def _inverse_lightness(above: Scalars) -> Scalars:
     return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
 
 
-def _check_scale(xyz: Colours, white: Float[Array, "3"]) -> None:
-    """Raise `ValueError` for codes, and warn about known XYZ of another scale than the white's: up
-    to 100 beside a white of Y = 1, or up to 1 beside a white of Y = 100."""
-    refuse_codes(xyz)
-    if not (is_known(xyz) and is_known(white)) or not np.size(xyz) or not white[1] > 0:
+def _check_scale(y: Scalars, white: Float[Array, "3"]) -> None:
+    """Warn about known Y of another scale than the white's: up to 100 beside a white of Y = 1, or
+    up to 1 beside a white of Y = 100."""
+    if not (is_known(y) and is_known(white)) or not y.size or not white[1] > 0:
         return
-    shares = np.asarray(xyz, float)[..., 1] / float(white[1])
+    shares = np.asarray(y, float) / float(white[1])
     above = _BRIGHTEST < np.median(shares) <= _LARGEST
     below = shares.size >= _COLOURS and white[1] >= _PER_CENT and shares.max() < _DARKEST
     if above or below:
@@ -73,8 +72,10 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
     Source: CIE 15:2018, 8.2.1.
     """
-    _check_scale(xyz, white)
-    thirds = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
+    refuse_codes(xyz)
+    each = parts(xyz)
+    _check_scale(each[1], white)
+    thirds = (_lightness(part / white[i]) for i, part in enumerate(each))
     (fx, x_0), (fy, y_0), (fz, z_0) = thirds
     a, b = (fx - fy) + (x_0 - y_0), (fy - fz) + (y_0 - z_0)
     return stack_components(116 * (fy + y_0), 500 * a, 200 * b)
@@ -116,8 +117,9 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
 
     Source: CIE 15:2018, 8.2.2.
     """
-    _check_scale(xyz, white)
+    refuse_codes(xyz)
     x, y, z = parts(xyz)
+    _check_scale(y, white)
     fy, y_0 = _lightness(y / white[1])
     lightness = 116 * (fy + y_0)
     # u' - u'_n over a common denominator, so that the small difference of a near grey is accurate

@@ -325,6 +325,7 @@ _UNIT = re.compile(
     r"([mcuk]?m|in|ft|inch(?:es)?|foot|feet|(?:milli|centi|micro|kilo)?met(?:er|re)s?)\b",
     re.MULTILINE | re.IGNORECASE,
 )
+_OFF_FOUR = re.compile(rb"\s*((?:ST)?C?N?(?:4n?|n)OFF)\b")  # of Geomview
 _MARK = b"\xef\xbb\xbf"  # byte order mark before text in UTF-8
 
 
@@ -353,6 +354,13 @@ def _source(file: Path) -> dict[str, Any]:
         plain = data if read == data else read
     elif suffix == ".ply":
         plain = ply_of_corners(data) or data
+    elif suffix == ".off" and (head := _OFF_FOUR.match(data)):
+        raise unlike(file, f"its points have more than three coordinates ({head[1].decode()})")
+    elif suffix == ".stl" and data[:5].lower() != b"solid":
+        end = 84 + 50 * int.from_bytes(data[80:84], "little")
+        if 84 < end < len(data):
+            plain = data[:end]
+            warn(f"{file}: {len(data) - end} bytes after its last triangle are not used.")
     if plain is data:
         return {"file_obj": file}
     _trimesh(file)  # raises an error that says how to install it

@@ -108,6 +108,21 @@ def test_what_a_mesh_lacks_is_said_of_its_content(tmp_path, name, data, sentence
         read_mesh(tmp_path / name)
 
 
+@pytest.mark.parametrize("head", ["4OFF", "nOFF\n3", "C4nOFF"])
+def test_points_of_four_coordinates_in_off_are_refused(tmp_path, head):
+    """(2, 0, 0, 2) is (1, 0, 0) in homogeneous coordinates; its area would be twice too large."""
+    (tmp_path / "a.off").write_text(head + "\n3 1 0\n0 0 0 1\n2 0 0 2\n0 1 0 1\n3 0 1 2\n")
+    with pytest.raises(InputError, match="more than three coordinates"):
+        read_mesh(tmp_path / "a.off")
+
+
+def test_bytes_after_the_triangles_of_an_stl_are_named(tmp_path):
+    data = trimesh.creation.box(extents=(1, 2, 3)).export(file_type="stl")
+    (tmp_path / "a.stl").write_bytes(data + b"made by")
+    with pytest.warns(UserWarning, match="7 bytes after its last triangle are not used"):
+        np.testing.assert_allclose(areas(read_mesh(tmp_path / "a.stl"))[0], 22, rtol=1e-6)
+
+
 BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
 BOX += "v 9 9 9\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"
 
