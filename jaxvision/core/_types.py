@@ -224,11 +224,11 @@ def refuse_codes(values: Any) -> None:
 
 def name_above(what: str, values: Any, most: float, remedy: str) -> None:
     """Warn if known numbers that are relative to 1 exceed it by far, as means of codes from 0 to
-    255, or per cent, do. Infinity does not count."""
+    255, or per cent, do. Values beyond 65535 are no such numbers."""
     if is_known(values) and np.size(values):
         known = np.asarray(values)
         largest = float(np.max(known, initial=0, where=np.isfinite(known)))
-        if largest > most:
+        if most < largest <= 65535:
             warn_caller(f"{what} goes up to {largest:g}, where 1 is white: {remedy}.")
 
 
