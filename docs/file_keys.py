@@ -87,9 +87,8 @@ def models_of(hint) -> list[type[BaseModel]]:
 
 
 def read(model: type[BaseModel]):
-    """Return a declared model in the same form as the tables of records, with the keys that all
-    types have.
-    """
+    """Return the keys of a table that a pydantic model declares, in the form used for the tables of
+    records."""
     said = described(model)
     keys = {
         name: Key(

@@ -517,7 +517,8 @@ def _edge(
 
 
 def _aperture(at: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return the two widths, in pixels, of the trapezoid that a square pixel's line spread is."""
+    """Return the two widths, in pixels, of the trapezoid that is the line spread of a square
+    pixel."""
     turn = jnp.radians(jnp.asarray(at["angle"]))
     cosine, sine = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
     return jnp.maximum(cosine, _NARROWEST), jnp.maximum(sine, _NARROWEST)

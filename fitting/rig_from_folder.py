@@ -332,7 +332,8 @@ def _warmth(images: Sequence[_Image]) -> dict[str, float]:
 
 
 def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
-    """Return the line for `bits`, from the files or from the largest number in some of them."""
+    """Return the line of the rig that states `bits`, from the metadata of the files, or from the
+    largest number in some of the images."""
     picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
     read = [read_image(folder / images[i].name) for i in picks]
     found.missing += _processing_in_words([images[i] for i in picks], read)

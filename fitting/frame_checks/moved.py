@@ -2,9 +2,8 @@
 
 Unequal pixel gains, dust and uneven light cause the same pattern in all frames of a level, so this
 pattern cancels in the difference of two frames. If the camera or an object moved between two
-frames, another pattern remains in their difference. The remaining pattern is the same at all levels
-and grows with the signal.
-"""
+frames, another pattern remains in their difference. This pattern has the same shape at all levels,
+and grows with the signal."""
 
 from itertools import combinations
 

@@ -883,8 +883,8 @@ def _consistent(rows: Rows, readings: Readings, counts: Counted, noise: float = 
 def _least_absolute(
     rows: Rows, readings: Readings, counts: Counted
 ) -> tuple[Readings, OfPixels, OfPixels]:
-    """Return the absolute residuals of the fit of least absolute residuals, a standard deviation
-    from their median, and the least one that rounding allows."""
+    """Fit each pixel by least absolute residuals. Return the absolute residuals, a standard
+    deviation derived from their median, and the smallest residual that rounding allows."""
     weights = counts.astype(float)
     size = np.abs(np.where(counts, readings, 0)).max(axis=0)
     least = np.where(size > 0, 1e-6 * size, 1.0)
@@ -949,8 +949,8 @@ def _scattered_finding(relative: float) -> str:
 
 
 def _nearest_half(rows: Rows, readings: Readings, counts: Counted) -> OfPixels:
-    """Return, for each pixel, the least residual within which about half of the readings lie of a
-    fit of three readings."""
+    """Fit each pixel exactly to each set of three readings. About half of all readings of the pixel
+    lie within some distance of each fit; return the smallest such distance."""
     place = np.maximum(counts.sum(axis=0) // 2, AGREE)[None] - 1
     found = np.full(readings.shape[1], np.inf)
     for three in _triples(len(readings)):
@@ -976,8 +976,8 @@ def _agreeing(
     apart: Counted | None = None,
 ) -> Counted:
     """Return, for each pixel, the largest set of readings within a tolerance of the prediction from
-    three of them. It contains the valid readings where up to half of all are in shadow. With
-    `apart`, at least a third of the readings of a set are of these."""
+    three of them. The set contains the valid readings even if up to half of the readings are in
+    shadow. If `apart` is given, at least a third of the readings in the set are flagged in it."""
     best, most = np.zeros_like(counts), np.zeros(readings.shape[1])
     for three in _triples(len(readings)):
         weights = np.zeros_like(readings)
@@ -995,8 +995,9 @@ def _agreeing(
 def _contradicted_pixels(
     rows: Rows, readings: Readings, counts: Counted, between: Counted, limits: Limits
 ) -> tuple[Bool[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return the pixels in which as many readings contradict the fit as support it, or nearly as
-    many agree on another normal, and those whose readings scatter much more than usual."""
+    """Return two masks of pixels. In the first, the readings that contradict the fit are as many as
+    those that support it, or nearly as many readings agree on another normal. In the second, the
+    readings scatter much more than usual."""
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = np.sqrt(_scatter(rows, readings, counts, g, used))
     usual = np.nanmedian(scatter) if np.isfinite(scatter).any() else np.inf

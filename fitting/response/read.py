@@ -411,7 +411,8 @@ def floor_level(
 
 
 def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels with one code in all images, if these span a factor of 8."""
+    """Return a mask of the pixels that have the same code in all images. It is empty unless the
+    exposures span a factor of 8."""
     if exposures[-1] < LEAST_EXPOSURE_RATIO * exposures[0]:
         return np.zeros(codes.shape[1:], bool)
     return (codes == codes[0]).all(axis=0)

@@ -179,7 +179,8 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the variance of g at bins, from a covariance of the normal equations' right."""
+    """Return the variance of g at the centres of bins, from the covariance of the right-hand side
+    of the normal equations."""
     size = len(found.means)
     rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)

@@ -35,8 +35,8 @@ _FACES = 256  # largest number of triangles on which each position of the light 
 
 
 class Near(NamedTuple):
-    """The irradiance of the receiver near a rectangle at which a quadrature errs most, W m^-2, and
-    the part that the quadrature finds."""
+    """The receiver near a rectangle at which a quadrature has its largest error: its true
+    irradiance, and the irradiance by the quadrature, W m^-2."""
 
     distance: float  # m, from the rectangle
     true: float

@@ -253,8 +253,8 @@ def _pattern_in_words(
     camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
     """Return sentences on a fixed pattern that is much smaller or much larger than the camera's.
-    Whether it is larger is decided by differences of neighbouring pixels, because smoothly uneven
-    light does not increase these."""
+    Smoothly uneven light also increases the variance of a frame. A larger pattern is therefore
+    reported only if differences of neighbouring pixels show it."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or bright.local_pattern is None:
         return []
