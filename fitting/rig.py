@@ -463,7 +463,7 @@ class Level(Entry):
     temperature: Kelvin | None = None
 
     @model_validator(mode="after")
-    def _one_gain(self) -> "Level":
+    def _check_gain(self) -> "Level":
         if self.iso is not None and self.gain_db is not None:
             raise ValueError("give either iso or gain_db")
         return self
@@ -537,7 +537,7 @@ class Light(Entry):
     stray_sd: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> "Light":
+    def _check_place(self) -> "Light":
         if (self.direction is None) == (self.position is None):
             raise ValueError("give either direction or position")
         if (self.direction_sd or 0) > UNKNOWN_DIRECTION:
@@ -588,7 +588,7 @@ class Geometry(Entry):
     mask: str | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> "Geometry":
+    def _check_shape(self) -> "Geometry":
         if (self.sphere is None) == (self.normals is None):
             raise ValueError("give either sphere or normals")
         return self
@@ -621,7 +621,7 @@ class Rig(Entry):
     covariance: str | None = None
 
     @model_validator(mode="after")
-    def _one_error(self) -> "Rig":
+    def _check_errors(self) -> "Rig":
         if self.covariance is not None and any(light.direction_sd for light in self.light):
             raise ValueError("give either covariance or the direction_sd of lights")
         return self

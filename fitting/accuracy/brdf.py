@@ -52,7 +52,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     errors = np.sqrt(np.diagonal(fit.robustness.covariance))
     start = fit.vector - AWAY
 
-    def searched(samples: Samples, tolerance: float = TOLERANCE) -> np.ndarray:
+    def search(samples: Samples, tolerance: float = TOLERANCE) -> np.ndarray:
         return minimise_samples(start, [samples], tolerance=tolerance).vector / errors
 
     def pixels(share: float) -> Compute:
@@ -61,13 +61,13 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
         def compute(seed: int) -> np.ndarray:
             rng = np.random.default_rng(seed)
-            return searched(_part(fit.samples, rng.permutation(count)[:wanted]))
+            return search(_part(fit.samples, rng.permutation(count)[:wanted]))
 
         return compute
 
     def cells(width: float | str) -> Compute:
         if isinstance(width, str):
-            return lambda seed: searched(fit.samples)
+            return lambda seed: search(fit.samples)
         grouping = cells_of(observation, chosen, width=width)
         saturated = saturated_only(fit.samples)
         apart = [] if saturated is None else [saturated]
@@ -83,7 +83,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     turns = {
         "pixels": pixels,
         "cells": cells,
-        "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
+        "solver tolerance": lambda tolerance: lambda seed: search(fit.samples, tolerance),
     }
     data, covariance = composite(fit, usual), fit.robustness.gaussian_covariance
     density = Density(adjusted_log_density, fit.space, data.mode, covariance, data)

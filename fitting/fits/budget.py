@@ -13,6 +13,7 @@ the expression of uncertainty in measurement", 5.1). If the model misfits and th
 therefore widened, the increase is the model's share.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -75,7 +76,7 @@ class Budget:
         >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
         >>> found = fit(Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0])))
         >>> budget = found.budget("gain", noise={"read noise": 0.0064})  # of a variance of 0.01
-        >>> round(budget.of("read noise"), 4), round(budget.of("other noise"), 4)
+        >>> round(budget.share_of("read noise"), 4), round(budget.share_of("other noise"), 4)
         (0.64, 0.36)
     """
 
@@ -84,7 +85,7 @@ class Budget:
     sd: float
     shares: tuple[Share, ...]
 
-    def of(self, source: str) -> float:
+    def share_of(self, source: str) -> float:
         """Return the share of one source.
 
         Args:
@@ -100,6 +101,11 @@ class Budget:
         if source not in known:
             raise InputError(f"No source {source!r}; {nearest(source, known)}.")
         return known[source]
+
+    def of(self, source: str) -> float:
+        """Former name of `share_of`."""
+        warnings.warn("of is now share_of.", DeprecationWarning, stacklevel=2)
+        return self.share_of(source)
 
     def __str__(self) -> str:
         width = max(len(share.source) for share in self.shares)

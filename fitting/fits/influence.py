@@ -16,6 +16,7 @@ Source:
     element methods", Acta Numerica 10, 2001: the error of one number, by the adjoint at a solution.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -77,7 +78,7 @@ class Influence:
     Example:
         >>> from fitting.fits.influence import Influence, Moved
         >>> dark = Moved("sensor.dark_current", 0.02, 0.021, 1.0, 0.1)
-        >>> Influence("gain", 0.25, 0.001, (dark,)).of("sensor.dark_current").bound
+        >>> Influence("gain", 0.25, 0.001, (dark,)).shift_by("sensor.dark_current").bound
         0.021
     """
 
@@ -86,7 +87,7 @@ class Influence:
     sd: float
     effects: tuple[Moved, ...]
 
-    def of(self, effect: str) -> Moved:
+    def shift_by(self, effect: str) -> Moved:
         """Return how far the estimate moves without one effect.
 
         Args:
@@ -102,6 +103,11 @@ class Influence:
         if effect not in known:
             raise InputError(f"No effect {effect!r}; {nearest(effect, known)}.")
         return known[effect]
+
+    def of(self, effect: str) -> Moved:
+        """Former name of `shift_by`."""
+        warnings.warn("of is now shift_by.", DeprecationWarning, stacklevel=2)
+        return self.shift_by(effect)
 
     def __str__(self) -> str:
         width = max((len(one.effect) for one in self.effects), default=0)
@@ -179,7 +185,8 @@ def influence(
         ...     data=jv.render(jv.Scene(floor, lamps), view),
         ...     records={"scene": jv.Scene(floor, lamps), "camera": jv.Camera(view, jv.Sensor())},
         ... )
-        >>> round(influence(problem, "intensity[0]").of("lights[1]").shift, 1)  # 1 % of 8 over .041
+        >>> second = influence(problem, "intensity[0]").shift_by("lights[1]")
+        >>> round(second.shift, 1)  # 1 % of 8 over .041
         2.0
     """
     found = fit(fitted) if isinstance(fitted, Problem) else fitted

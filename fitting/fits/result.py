@@ -191,9 +191,9 @@ class Fit:
                 f"{self.failures[0]}"
             )
         shapes = {parameter.name: parameter.shape or () for parameter in self.problem.free}
-        return posterior_prior(self.posterior, shapes, names, words=self._widened())
+        return posterior_prior(self.posterior, shapes, names, words=self._widening_remark())
 
-    def _widened(self) -> tuple[str, ...]:
+    def _widening_remark(self) -> tuple[str, ...]:
         """Return a remark if the prior from this fit is wider than its data alone imply."""
         before = () if self.problem.prior is None else self.problem.prior.words
         if self.noise > 1:

@@ -109,10 +109,10 @@ def few_digits(problem: Problem, optimum: Optimum) -> list[str]:
 
 def agreeing(optimum: Optimum) -> int:
     """Return the number of searches that reached the lowest cost."""
-    return int(np.sum(optimum.costs < _same_end(optimum)))
+    return int(np.sum(optimum.costs < _optimum_separation(optimum)))
 
 
-def _same_end(optimum: Optimum) -> float:
+def _optimum_separation(optimum: Optimum) -> float:
     """Return the difference in cost above which two searches count as different optima. The
     difference is larger if the gradient is inaccurate, because such searches stop only near the
     optimum.
@@ -131,7 +131,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
         Biometrika 40, 1953.
     """
     depths = np.sort(optimum.costs)
-    apart = np.diff(depths, prepend=-np.inf, append=np.inf) > _same_end(optimum)
+    apart = np.diff(depths, prepend=-np.inf, append=np.inf) > _optimum_separation(optimum)
     alone = np.mean(apart[1:] & apart[:-1])
     return agreeing(optimum) >= (4 if wide_noise or alone >= MANY_OPTIMA else 2)
 

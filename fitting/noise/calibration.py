@@ -349,7 +349,7 @@ def _likelihood_estimates(
     the posterior draws (emcee)."""
     args = (fit.space, fit.data, _range_of_linearity(fit, within, usable))
     if posterior.sampled:
-        return _drawn_estimates(posterior, within, args)
+        return _estimates_from_draws(posterior, within, args)
     vector = jnp.asarray(fit.optimum.vector)
     values, slopes = _sheet_and_slopes(vector, within.saturation, args)
     found = []
@@ -469,7 +469,9 @@ def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tup
     return likelihood_sheet(mode, saturation, args), slopes
 
 
-def _drawn_estimates(posterior: Posterior, within: Ranges, args: tuple) -> tuple[Estimate, ...]:
+def _estimates_from_draws(
+    posterior: Posterior, within: Ranges, args: tuple
+) -> tuple[Estimate, ...]:
     vectors = to_unconstrained(posterior.space, jnp.asarray(posterior.samples))
     lights = None
     if within.saturation is not None and within.saturation_width is not None:

@@ -170,7 +170,7 @@ class LevelSums:
             return
         # A drift of the light between frames shifts all pixels together. It is not pixel noise, and
         # products would mix the two.
-        deviation = self.live.only(deviation - self._shifts[-1])
+        deviation = self.live.zero_invalid(deviation - self._shifts[-1])
         self._total += deviation
         if self._unlit is not None:
             self._shifted += self._shifts[-1] * deviation
@@ -198,7 +198,7 @@ class LevelSums:
         signal = mean - self._unlit.mean
         if size == 0 or signal <= 0:
             return 1.0
-        pattern = self.live.only(average - mean)
+        pattern = self.live.zero_invalid(average - mean)
         temporal = float(self._squares.variance("pixels", self._total, count).sum())
         noise = temporal / count
         uneven = float(np.sum(pattern**2)) - noise
@@ -239,7 +239,7 @@ class LevelSums:
             shown = np.isfinite(own) & (signal > 0)
             share = np.where(shown, own - noise, 0.0) / np.where(shown, signal, 1.0) ** 2
             share, middle = (np.expand_dims(x, 1 - axis) for x in (share, middle))
-            added += share * self.live.only(average - middle) ** 2
+            added += share * self.live.zero_invalid(average - middle) ** 2
         return added if self.live.mean(added) > LEAST_FLICKER * parts.pixel_variance else 0.0
 
     def level(self) -> ReducedLevel:

@@ -162,18 +162,18 @@ class LivePixels:
         rows, columns = (int((of > 0).sum()) for of in self._of_line)
         return rows, columns
 
-    def only(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    def zero_invalid(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         """Return the plane with 0 at invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, 0.0)
 
     def mean(self, plane: Float[np.ndarray, "h w"]) -> float:
         """Return the mean of a plane over the valid pixels."""
-        return float(self.only(plane).sum()) / self.count
+        return float(self.zero_invalid(plane).sum()) / self.count
 
     def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
         """Return the means of rows (axis 0) or columns (axis 1) over valid pixels; NaN for a row or
         column without valid pixels."""
-        sums = self.only(plane).sum(axis=1 - axis)
+        sums = self.zero_invalid(plane).sum(axis=1 - axis)
         counts = self._of_line[axis]
         return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 

@@ -73,7 +73,7 @@ def residues(
         return found
     for own, plane in zip(found, (average, temporal), strict=True):
         rows, columns = (live.line_means(plane, axis) for axis in (0, 1))
-        cell = _quotient(_cell_sums(live.only(plane)), _cell_sums(live.mask))
+        cell = _quotient(_cell_sums(live.zero_invalid(plane)), _cell_sums(live.mask))
         own[:3, :RESIDUES] = _modulo(rows, RESIDUES), _modulo(columns, RESIDUES), cell
         if min(average.shape) >= 2 * LONG_MODULUS:
             own[3:] = _modulo(rows, LONG_MODULUS), _modulo(columns, LONG_MODULUS)

@@ -177,7 +177,7 @@ def drawn_numbers(
         kernel=fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None,
         shares=shares(measurement, usable, power=1) if "pixel_mixing" in labels else None,
     )
-    beside = _other_parameters(calibration, len(rows), asked)
+    beside = _parameters_outside_likelihood(calibration, len(rows), asked)
     return Numbers(about, np.stack([mode, *natural]), beside)
 
 
@@ -228,7 +228,7 @@ def mode_without(
     return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
 
 
-def _other_parameters(
+def _parameters_outside_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """Return the sensor's parameters that are not in the likelihood, by field name: the best

@@ -204,7 +204,9 @@ def fit_gamma(
     black_sd = 0.0 if "black_sd" in named else black_sd
     known = 0.0 if "exposure_sd" in named else exposure_sd
     sums = _gamma_sums(curve, column, dispersion, known, exposure_sd)
-    sums = eqx.tree_at(lambda s: s.added, sums, _other_variance(curve, sums, dispersion, black_sd))
+    sums = eqx.tree_at(
+        lambda s: s.added, sums, _omitted_variance(curve, sums, dispersion, black_sd)
+    )
     log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
     prior = -(((log_tau - np.log(float(sums.median))) / float(sums.log_sd)) ** 2) / 2
@@ -342,7 +344,7 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
     )
 
 
-def _other_variance(
+def _omitted_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
     """Return the variance of gamma from three sources that the weighted fit omits: the black level,
@@ -353,12 +355,12 @@ def _other_variance(
     shifted = log_code_means(curve, shift=BLACK_STEP)
     moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion), tau).mean)
     of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
-    excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
+    excess = [(other - mean) ** 2 - variance for other, variance in _reweighted_gammas(curve)]
     of_slope = (mean * slope_error(curve.noise)) ** 2
     return jnp.asarray(of_black + of_slope + max([0.0, *excess]), float)
 
 
-def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
+def _reweighted_gammas(curve: ResponseCurve) -> list[tuple[float, float]]:
     """Return (gamma, its variance) from the slope of the curve over the central codes, first with
     equal weights for equal steps in code, then with equal weights for equal steps in ln (code -
     black)."""

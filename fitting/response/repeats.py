@@ -83,7 +83,7 @@ class Repeats:
     def variance(self) -> Float[np.ndarray, " bins"]:
         return np.sum(self.departures**2, axis=0)
 
-    def beyond(
+    def excess_variance(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
         """Return the jackknife variance in excess of `explained`, 0 where the excess is not
@@ -159,9 +159,9 @@ def widen(
     from shutter errors (`shutter.py`)."""
     parts = []
     if tiles is not None:
-        parts.append(tiles.beyond(tiles.pixels, 1))
+        parts.append(tiles.excess_variance(tiles.pixels, 1))
     if exposures is not None:
-        parts.append(exposures.beyond(exposures.pixels + shutter.variance, 2))
+        parts.append(exposures.excess_variance(exposures.pixels + shutter.variance, 2))
     own = np.diagonal(covariance)
     repeated = own + sum(part for part, _ in parts)
     some = np.where(repeated > 0, repeated, 1)  # none at mid-scale, where g = 0 by definition

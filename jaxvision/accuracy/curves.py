@@ -409,7 +409,7 @@ def measure_in_turn(
     found: list[Curve] = []
     shares: list[float] = []
 
-    def measured(name: str, share: float) -> Curve | None:
+    def measure_knob(name: str, share: float) -> Curve | None:
         """Return the measured curve, or None if an interrupt stopped the measurement. An interrupt
         before the first curve is raised again."""
         try:
@@ -423,7 +423,7 @@ def measure_in_turn(
 
     for number, name in enumerate(names):
         shares.append(max(until - now(), 0.0) / (len(names) - number))
-        one = measured(name, shares[-1])
+        one = measure_knob(name, shares[-1])
         found.append(one or replace(found.pop(), stopped="interrupted"))
         if found[-1].stopped == "interrupted":
             return tuple(found)
@@ -431,7 +431,7 @@ def measure_in_turn(
         left, before = until - now(), found[number]
         if before.stopped != "out of time" or left < worth * shares[number]:
             continue
-        again = measured(names[number], left)
+        again = measure_knob(names[number], left)
         if again is None or len(again.trials) >= len(before.trials):
             found[number] = again or replace(before, stopped="interrupted")
         if again is None or again.stopped == "interrupted":

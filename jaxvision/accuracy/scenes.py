@@ -148,7 +148,7 @@ def scene_problem(
         more = {"depth": 2} if entry.integrator == "path" and entry.depth > 2 else {}
         return entry.model_copy(update={"samples": _samples_a_call(entry), **more})
 
-    def known(turned: Mapping[str, Any]) -> bool:
+    def is_compiled(turned: Mapping[str, Any]) -> bool:
         return program(entry_of(own, turned)).model_dump_json() in compiled
 
     def prepare(turned: Mapping[str, Any], *, within_pixels: int | None = None) -> Compute:
@@ -193,7 +193,7 @@ def scene_problem(
         prepare,
         settings=base,
         developed=lambda radiance, exposed: _develop(radiance, exposed, to_rgb),
-        compiled=None if own.integrator == "light" else known,
+        compiled=None if own.integrator == "light" else is_compiled,
         compiling=compiling,
         once=lambda: once,
         about=" ".join([_ABOUT, *light_findings(source, own)]),

@@ -51,21 +51,21 @@ def register_lobe(
     """Register a record whose BRDF is `diffuse` (k_d) plus `specular` (k_s) times a lobe.
     `bound(ends, convention)` returns upper bounds on its shading."""
 
-    def scaled(material: Any, value: Scalar) -> Scalar:
+    def scale_lobe(material: Any, value: Scalar) -> Scalar:
         if convention != "normalised" or lobe.normalisation is None:
             return value
         return lobe.normalisation(material) * value
 
     def evaluate(material: Any, wi: Direction, wo: Direction) -> Colour:
         light, viewer = as_vec(wi), as_vec(wo)
-        value = scaled(material, lobe.value(material, light, viewer))
+        value = scale_lobe(material, lobe.value(material, light, viewer))
         if convention == "shading":
             value = value / divisor(light.z)
         return _two_terms(material, light, viewer, jnp.ones_like(value), value)
 
     def shading(material: Any, wi: Direction, wo: Direction) -> Colour:
         light, viewer = as_vec(wi), as_vec(wo)
-        value = scaled(material, lobe.value(material, light, viewer))
+        value = scale_lobe(material, lobe.value(material, light, viewer))
         if convention != "shading":
             value = value * light.z
         return _two_terms(material, light, viewer, light.z, value)
@@ -90,7 +90,7 @@ def register_lobe(
 
     def albedo(material: Any, wo: Direction) -> Colour:
         plain, with_cosine = lobe.integrals(material, as_vec(wo).z)
-        size = plain if convention == "shading" else scaled(material, with_cosine)
+        size = plain if convention == "shading" else scale_lobe(material, with_cosine)
         return jnp.pi * material.diffuse + material.specular * size
 
     register(

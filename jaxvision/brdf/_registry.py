@@ -115,18 +115,18 @@ def register(
         given, missing = ("pdf", "sample") if sample is None else ("sample", "pdf")
         raise ValueError(f"{record.__name__}: got {given} without {missing}; they come together.")
 
-    def shaded(material: Any, wi: Direction, wo: Direction) -> Colour:
+    def shading_from_brdf(material: Any, wi: Direction, wo: Direction) -> Colour:
         return evaluate(material, wi, wo) * jnp.maximum(as_vec(wi).z, 0)
 
-    def integrated(material: Any, wo: Direction) -> Colour:
-        return integrate_shading(shaded if shading is None else shading, material, wo)
+    def integrate_albedo(material: Any, wo: Direction) -> Colour:
+        return integrate_shading(shading_from_brdf if shading is None else shading, material, wo)
 
     _FAMILIES[record] = Family(
         evaluate,
         sample_cosine if sample is None else sample,
         pdf_cosine if pdf is None else pdf,
-        integrated if albedo is None else albedo,
-        shaded if shading is None else shading,
+        integrate_albedo if albedo is None else albedo,
+        shading_from_brdf if shading is None else shading,
         bound,
         table_for(record, word, from_file),
         isotropic=isotropic if callable(isotropic) else lambda material: isotropic,

@@ -324,11 +324,11 @@ def albedo(material: Coated, wo: Direction) -> Colour:
     """Return the sum of the interface's albedo and, by quadrature, the body's albedo, (bands,), no
     unit."""
 
-    def from_body(own: Coated, wi: Vec, viewer: Vec) -> Colour:
+    def body_shading(own: Coated, wi: Vec, viewer: Vec) -> Colour:
         return _body_brdf(own, wi, viewer) * jnp.maximum(wi.z, 0)
 
     lobe = torrance_sparrow.albedo(_facets(material), wo)
-    return lobe + integrate_shading(from_body, material, wo)
+    return lobe + integrate_shading(body_shading, material, wo)
 
 
 def _bound(x: Ends[Coated]) -> Reflection:

@@ -464,14 +464,18 @@ def pixel_of(
     pixels. `gone` names the dropped effects, such as "sensor.read_noise". The irradiance of each
     pixel is at most `irradiance`, (bands,) W m^-2."""
 
-    def left(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
+    def remaining_fields(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
         fields = vars(of).items()
         kept = {name: None if f"sensor.{name}" in gone else value for name, value in fields}
         own = enumerate(kept["own"] or ())
         kept = kept | {"own": tuple(e for i, e in own if f"sensor.own[{i}]" not in gone)}
         return kept | _extreme_tap(kept, extreme)
 
-    return Pixel(Ends(left(sensor.low, np.min), left(sensor.high, np.max)), irradiance, shape)
+    return Pixel(
+        Ends(remaining_fields(sensor.low, np.min), remaining_fields(sensor.high, np.max)),
+        irradiance,
+        shape,
+    )
 
 
 def _extreme_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:

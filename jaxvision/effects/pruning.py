@@ -256,7 +256,7 @@ def prune(
         alone = _new_kinds(scene, choice.draft)
         why = "without it, its surface would need a program of its own"
         bare = any(row.name.startswith(_MOVABLE) for row in choice.gone)
-        if not alone and bare and not _moves_alike(motion, choice, start, scene):
+        if not alone and bare and not _has_same_motion(motion, choice, start, scene):
             alone, why = _MOVABLE, "the motion changes more than this"
         if not alone:
             return choice.result(scene, camera)
@@ -297,7 +297,7 @@ def removals(
         if row.present and row.drop is not None and not row.ladder:
             parties.setdefault(row.together or row.name, []).append(row)
 
-    def left(names: Collection[str]) -> tuple[Scene, Camera] | None:
+    def drop_names(names: Collection[str]) -> tuple[Scene, Camera] | None:
         rows = [row for name in parties if name in names for row in parties[name]]
         gone, draft = {row.name for row in rows}, start
         if not all(row.needs <= gone and not row.instead_of & gone for row in rows):
@@ -309,7 +309,7 @@ def removals(
         whole = whole and bands_of(draft) == bands_of(start)
         return (finished(scene, draft), draft.camera) if whole else None
 
-    return {name: rows[0].effect for name, rows in parties.items()}, left
+    return {name: rows[0].effect for name, rows in parties.items()}, drop_names
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
@@ -326,7 +326,7 @@ def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
     return tuple(f"surfaces[{k}].material" for k in parted or new)
 
 
-def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
+def _has_same_motion(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
     """Return whether the motion changes the pruned scene as it changes the full scene. The answer
     may be False because a motion may refer to a dropped surface or light, which raises an error, or
     add the dropped record again, or move another surface in its place."""

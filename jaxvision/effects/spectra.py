@@ -32,7 +32,7 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
     bands = sums.sent_radiance.shape[1]
     if bands == 1:
         return ()
-    why = _why_not(sums, direct)
+    why = _refusal_reason(sums, direct)
     if why:
         unknown = np.full(bands, np.inf)
         return (Row("bands", unknown, f"{bands} bands; {why}", None, ladder="bands"),)
@@ -56,7 +56,7 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def _why_not(sums: Sums, direct: bool) -> str:
+def _refusal_reason(sums: Sums, direct: bool) -> str:
     """Return the reason why the number of bands cannot be reduced, or "" if it can."""
     if not direct:
         return "light that bounces takes the colour of every surface that it meets"

@@ -260,7 +260,7 @@ def _load(file: Path):
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()
         mesh.metadata["pieces"] = len(scene.geometry)
-        own = _given_normals(scene)
+        own = _file_normals(scene)
         if own is not None and len(own) == len(mesh.vertices):
             mesh.metadata["normals"] = own
         if scene.units is not None:
@@ -279,7 +279,7 @@ def _load(file: Path):
     return _cut_polygons(file, mesh)
 
 
-def _given_normals(scene) -> np.ndarray | None:
+def _file_normals(scene) -> np.ndarray | None:
     """Return the normals at the vertices that a file gives, (vertices, 3), in the order of the
     merged mesh, which does not keep them; None if it gives none."""
     found, given = [], False

@@ -252,7 +252,7 @@ def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
     if isinstance(value, Mapping) and value.get("kind") == Map.__name__:
         return record_of(reading, where, Map, {k: v for k, v in value.items() if k != "kind"})
     if isinstance(value, Mapping):
-        return _chosen_record(reading, where, kinds, value)
+        return _make_record(reading, where, kinds, value)
     if all(map(is_record, kinds)):
         known = " or ".join(kind.__name__ for kind in kinds)
         raise reading.wrong(
@@ -289,7 +289,7 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
     return reading.wrong(f"{where} = {shorten(value)}: {what}; correct it.")
 
 
-def _chosen_record(
+def _make_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
     """Make the record of a field. The key `kind` names its type if several are possible."""

@@ -168,7 +168,7 @@ def _check_kernel(size: int) -> int:
     return int(size)
 
 
-def _both_ways(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
+def _size_pair(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
     """Return (down, across), the sizes along columns and rows, from a pair or from one number for
     both. `ValueError` for another form.
     """

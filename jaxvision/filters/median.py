@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Shaped
 
 from ..core._arguments import takes_numbers
-from .kernels import _both_ways
+from .kernels import _size_pair
 from .padding import Picture, as_planes, check_border, pad
 
 Offsets = tuple[tuple[int, int], ...]
@@ -63,7 +63,7 @@ def median_filter(
         [1. 1. 1.]
     """
     if footprint is None:
-        shape = np.ones(_both_ways(size), bool)
+        shape = np.ones(_size_pair(size), bool)
     else:
         shape = np.asarray(footprint).astype(bool)
     if shape.ndim != 2 or not shape.any():

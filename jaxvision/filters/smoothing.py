@@ -15,7 +15,7 @@ from ..core._types import Scalar, as_float
 from ._terms import Fill
 from .convolution import correlate_separable
 from .gaussians import Sigma, gaussian
-from .kernels import _both_ways, binomial_kernel, box_kernel
+from .kernels import _size_pair, binomial_kernel, box_kernel
 from .padding import Filtered, Picture, check_picture
 
 
@@ -48,7 +48,7 @@ def box(
         >>> print(jv.filters.box([[0.0, 9.0, 0.0]], size=(1, 3)))
         [[3. 3. 3.]]
     """
-    down, across = _both_ways(size)
+    down, across = _size_pair(size)
     return correlate_separable(
         picture, box_kernel(down), box_kernel(across), border=border, fill=fill, method=method
     )

@@ -105,13 +105,13 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
         flat = [x.reshape(-1, *end) for x, end in zip(full, ends, strict=False)]
         scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
-        def found(part: slice) -> np.ndarray:
+        def trace(part: slice) -> np.ndarray:
             # a copy of the directions, as Embree refuses read-only arrays
             origin, direction, *far = (x[part] for x in flat)
             start = scale * origin + _START * direction
             return query(scene, start, np.array(direction), *(scale * x - _START for x in far))
 
-        return np.concatenate(list(_split_by_cores(found, len(flat[0])))).reshape(batch)
+        return np.concatenate(list(_split_by_cores(trace, len(flat[0])))).reshape(batch)
     vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
     faces = np.broadcast_to(faces, batch + faces.shape[-2:])
     one_by_one = [

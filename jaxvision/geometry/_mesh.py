@@ -55,12 +55,12 @@ def _search(mesh: TriangleMesh) -> bool:
     if len(mesh.faces) <= tried:
         return False
     if not _embree.available():
-        _say_once(tried)
+        _warn_of_slow_search(tried)
     return _embree.available()
 
 
 @cache
-def _say_once(tried: int) -> None:
+def _warn_of_slow_search(tried: int) -> None:
     warnings.warn(
         f"meshes of more than {tried} triangles are searched one triangle at a time, which is "
         f"slow; install embreex ({install('mesh')}) for speed.",

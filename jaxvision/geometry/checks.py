@@ -44,11 +44,11 @@ def invalid(shape: Shape) -> list[str]:
         return found
     match shape:
         case Sphere():
-            found += _not_positive(f"{kind}.radius", shape.radius)
+            found += _nonpositive_problem(f"{kind}.radius", shape.radius)
         case Plane():
             found += _no_direction(f"{kind}.normal", shape.normal)
         case Disc():
-            found += _not_positive(f"{kind}.radius", shape.radius)
+            found += _nonpositive_problem(f"{kind}.radius", shape.radius)
             found += _no_direction(f"{kind}.normal", shape.normal)
         case Quad():
             area = np.cross(np.asarray(shape.edge_u), np.asarray(shape.edge_v))
@@ -56,7 +56,7 @@ def invalid(shape: Shape) -> list[str]:
             if not np.linalg.norm(area) > np.finfo(area.dtype).eps * longest**2:
                 found.append(f"{kind}.edge_u and edge_v span no area.")
         case Box():
-            found += _not_positive(f"{kind}.half_extents", shape.half_extents)
+            found += _nonpositive_problem(f"{kind}.half_extents", shape.half_extents)
             if shape.rotation is not None:
                 rotation = np.asarray(shape.rotation)
                 if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
@@ -113,7 +113,7 @@ def warn_if_coarse(*shapes: Shape) -> None:
             return
 
 
-def _not_positive(name: str, value: object) -> list[str]:
+def _nonpositive_problem(name: str, value: object) -> list[str]:
     smallest = np.asarray(value).min()
     return [] if smallest > 0 else [f"{name} must be positive, got {smallest:g} m."]
 

@@ -158,7 +158,7 @@ def _nearest(ray: Ray, ready: Sorted) -> Encounter:
     nothing = jnp.full((), -1, jnp.int32)
     nearest, found = jnp.full_like(ray.origin.x, jnp.inf), nothing
     for members, group in zip(ready.members, ready.groups, strict=True):
-        first_of = _each_stored(_first_of, len(members))
+        first_of = _materialise_chunks(_first_of, len(members))
 
         def closer(
             carry: tuple[Scalar, Int[Array, ""]],
@@ -328,7 +328,7 @@ def blocked(
 
     anything = jnp.zeros((), bool)
     for members, group in zip(ready.members, ready.groups, strict=True):
-        any_of = _each_stored(_any_of, len(members))
+        any_of = _materialise_chunks(_any_of, len(members))
 
         def blocks(
             before: Bool[Array, ""],
@@ -387,7 +387,7 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 # ---------------------------------------------------------------- many shapes of a kind
 
 
-def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
+def _materialise_chunks(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
     """Wrap a function of a chunk of shapes so that its result is materialised if there are several
     chunks. Otherwise the chunk would be read again for each ray.
     """

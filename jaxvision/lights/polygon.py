@@ -202,7 +202,7 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
     The derivatives are computed as a sum over the same edges, in a tenth of the time of autodiff.
     """
     total = jnp.zeros_like(normal.x)
-    for edge in _seen_edges(corners, normal):
+    for edge in _visible_edges(corners, normal):
         sine_over_angle = _angle_over_sine(dot(edge.area, edge.area), edge.cosine)
         total = total + dot(normal, edge.area) * sine_over_angle
     return total / 2
@@ -222,7 +222,7 @@ class _Edge(NamedTuple):
     of_end: dict[int, Scalar]
 
 
-def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
+def _visible_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
     """Return the visible parts of the four edges of a polygon, and the edge that closes the visible
     part along the horizon."""
     # materialised: several loops could round a height near 0 differently, and cut differently
@@ -269,7 +269,7 @@ def _contour_integral_jvp(primals, tangents):
     zero = jnp.zeros_like(normal.x)
     by_corner = [Vec(zero, zero, zero)] * 4
     by_normal = by_corner[0]
-    edges = fuse(_seen_edges(corners, normal))
+    edges = fuse(_visible_edges(corners, normal))
     factors = []
     for edge in edges:
         square, along = dot(edge.area, edge.area), dot(normal, edge.area)

@@ -91,7 +91,7 @@ def _seeded_traces_of(
         solved, along = _solve_radiosity(source, settings)
         tile = _tile_of(along, settings)
     else:
-        solved, tile = _nothing, _kept_tile(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
+        solved, tile = _nothing, _compiled_tile(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
     def seed_traces(seed: int, within_pixels: int | None = None) -> Computed:
         key = jax.random.key(seed)
@@ -127,7 +127,7 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
     """Return a function from a seed and the index of a pass to the picture of that pass, (h, w,
     bands) W m^-2 sr^-1. The function is compiled once for all seeds."""
     _check_light(source, settings)
-    one = _kept_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
+    one = _compiled_pass(_compiled_in(settings), _structure(source))  # pyright: ignore[reportArgumentType]
 
     def compute(seed: int, number: int) -> np.ndarray:
         key = jax.random.fold_in(jax.random.key(seed), number)
@@ -181,7 +181,9 @@ def _structure(source: SceneFile) -> Hashable:
 
 
 @lru_cache(maxsize=1)
-def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
+def _compiled_tile(
+    settings: RenderEntry, structure: Hashable
+) -> Callable[..., tuple[Pixels, Pixels]]:
     """Return the compiled program for tiles, cached for one combination of settings and structure.
     A scene with the same structure uses the cached program without another compilation. The cache
     does not hold the scene. For a scene with another structure, the cached program is replaced."""
@@ -189,7 +191,7 @@ def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tupl
 
 
 @lru_cache(maxsize=1)
-def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
+def _compiled_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
     """Return the compiled program for one pass of light tracing, cached for one combination of
     settings and structure."""
 

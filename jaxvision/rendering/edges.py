@@ -445,7 +445,7 @@ def moving_edges(
         if not all(isinstance(surface.shape, Plane | TriangleMesh) for surface in scene.surfaces):
             found = found + _face_integral(*along, seen, sampled=sampled)
         parts = []
-        if _seen_outlines(scene):
+        if _visible_outlines(scene):
             parts.append(_outline_integral(*along, seen, sampled=sampled))
         if rules is not None and _blocking_outlines(scene):
             for group in range(len(lights_by_rule(rebuild(moving)[0].lights, rules))):
@@ -534,7 +534,7 @@ def _outline_integral(
 
         return _lengths(view, *jax.vmap(end)(jnp.linspace(0, 1, _CELLS + 1, dtype=dtype)))
 
-    curves = _curves(_seen_outlines(scene))
+    curves = _curves(_visible_outlines(scene))
     lengths = jax.vmap(cells)(curves)
     chosen, cell, within, share = jax.lax.stop_gradient(_place_nodes(lengths, count))
     t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
@@ -545,7 +545,7 @@ def _outline_integral(
         def place(curve: Curves, t: Array, u: Array | None) -> tuple[Array, Array]:
             return _image_point(view, _curve_point(curve, t, _eye(view, u)), u)
 
-        return jax.vmap(place)(_row(_curves(_seen_outlines(scene)), chosen), t, lens)
+        return jax.vmap(place)(_row(_curves(_visible_outlines(scene)), chosen), t, lens)
 
     at, tangent, ahead = jax.jvp(
         lambda t: places(moving, t), (t,), (jnp.ones_like(t),), has_aux=True
@@ -871,7 +871,7 @@ def _solve_direction(
     return jnp.where(norm(missing(u)) < 1e-3, u, start)
 
 
-def _seen_outlines(scene: Scene) -> Sequence[tuple[int, Shape | RectangleLight]]:
+def _visible_outlines(scene: Scene) -> Sequence[tuple[int, Shape | RectangleLight]]:
     """Return the shapes whose outlines a camera can see, each with the index of its surface, or -1
     for a lamp."""
     shapes = [surface.shape for surface in scene.surfaces]

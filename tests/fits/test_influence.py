@@ -115,7 +115,12 @@ def test_data_of_other_kinds_have_the_influence_of_floats():
             records={"scene": scene, "camera": jv.Camera(view, jv.Sensor())},
         )
         found = influence(problem, "intensity[0]")
-        return found.value, found.sd, found.of("lights[1]").shift, found.of("shadows").bound
+        return (
+            found.value,
+            found.sd,
+            found.shift_by("lights[1]").shift,
+            found.shift_by("shadows").bound,
+        )
 
     whole, squares = moved(true), 0.2**2 * np.add.outer([1, 0, 1], [1, 0, 1])
     near, far = (height / (height**2 + squares) ** 1.5 for height in (2, 20))

@@ -56,7 +56,7 @@ def test_the_budget_of_a_line_is_the_propagation_of_each_source(fitted):
             row[30] ** 2 * OFFSET_SD**2,
         ]
         expected = np.array(parts) / np.sum(parts)
-        ours = [found.of(name) for name in ("drift", "other noise", "curvature")]
+        ours = [found.share_of(name) for name in ("drift", "other noise", "curvature")]
         np.testing.assert_allclose(ours, expected, rtol=1e-6)
         np.testing.assert_allclose(found.sd, np.sqrt(np.sum(parts)), rtol=1e-6)
         assert abs(sum(share.share for share in found.shares) - 1) < 1e-12
@@ -170,9 +170,9 @@ def test_the_budget_of_a_sensor_is_what_refits_without_a_source_lose():
     whole = scatter(TIMES) ** 2
     for source in ("photons", "read noise"):
         lost = 1 - scatter(TIMES, off=(source,)) ** 2 / whole
-        assert abs(found.of(source) - lost) < 0.1
+        assert abs(found.share_of(source) - lost) < 0.1
     np.testing.assert_allclose(found.sd**2, whole, rtol=0.2)
-    assert found.of("rounding") < 0.15
+    assert found.share_of("rounding") < 0.15
 
 
 @pytest.mark.slow
@@ -192,8 +192,8 @@ def test_noise_that_is_inflated_is_the_models():
     found = fit(problem, starts=1, misfit="inflate").budget("mean")
     inflated = np.sum((scatter / SD) ** 2) / 59
     np.testing.assert_allclose(found.sd, np.sqrt(inflated / 60) * SD, rtol=1e-3)
-    np.testing.assert_allclose(found.of("noise"), 1 / inflated, rtol=1e-3)
-    np.testing.assert_allclose(found.of("model"), 1 - 1 / inflated, rtol=1e-3)
+    np.testing.assert_allclose(found.share_of("noise"), 1 / inflated, rtol=1e-3)
+    np.testing.assert_allclose(found.share_of("model"), 1 - 1 / inflated, rtol=1e-3)
 
 
 @pytest.mark.slow
@@ -210,10 +210,10 @@ def test_what_groups_share_and_what_is_inflated_are_the_models():
 
     shared = fitted(Clustered(Gaussian(0.1), labels)).budget("mean")
     np.testing.assert_allclose(shared.sd, 0.3 / np.sqrt(40), rtol=0.3)
-    assert shared.of("model") > 0.9
+    assert shared.share_of("model") > 0.9
     found = fitted(Gaussian(0.1), misfit="inflate")
     inflated = found.budget("mean")
-    np.testing.assert_allclose(inflated.of("model"), 1 - found.noise**-2, rtol=1e-6)
+    np.testing.assert_allclose(inflated.share_of("model"), 1 - found.noise**-2, rtol=1e-6)
     np.testing.assert_allclose(inflated.sd, found.noise * 0.1 / np.sqrt(200), rtol=1e-6)
 
 

@@ -170,7 +170,7 @@ def test_the_tree_and_the_loop_find_the_same_triangles(monkeypatch):
 def test_without_embree_meshes_work_and_say_so_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex", None)
     monkeypatch.setattr(_mesh._embree, "available", lambda: False)
-    _mesh._say_once.cache_clear()
+    _mesh._warn_of_slow_search.cache_clear()
     ray = Ray(jnp.asarray([0.0, 0, 3]), jnp.asarray([0.0, 0, -1]))
     with pytest.warns(UserWarning, match="install embreex"):
         first = nearest_shape(ray, [mesh_of(BALL)])

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import jaxvision
+from fitting.fits.budget import Budget, Share
+from fitting.fits.influence import Influence, Moved
 from fitting.inference import Robustness
 from fitting.noise.calibration import NoiseCalibration
 from fitting.response import Layout
@@ -58,6 +60,12 @@ def test_an_old_name_of_a_method_gives_its_result_and_says_the_new_one():
     layout = Layout(*np.arange(12).reshape(4, 3))
     with pytest.warns(DeprecationWarning, match=r"at is now select\."):
         assert layout.at(slice(1, 2)).rows == 7
+    budget = Budget("gain", 1.0, 0.1, (Share("shot noise", 0.7, 0.08),))
+    with pytest.warns(DeprecationWarning, match=r"of is now share_of\."):
+        assert budget.of("shot noise") == 0.7
+    moved = Moved("sensor.dark_current", 0.02, 0.021, 1.0, 0.1)
+    with pytest.warns(DeprecationWarning, match=r"of is now shift_by\."):
+        assert Influence("gain", 1.0, 0.1, (moved,)).of("sensor.dark_current") is moved
 
 
 def test_what_lies_below_an_old_name_is_there_once():

@@ -97,7 +97,7 @@ def test_a_turned_light_is_turned_back(fitted, about):
     missed = relative_rms(squares_by_light(rig, doubted, doubted.selection))
     expected = relative_rms(squares_by_light(observation, right, right.selection))
     assert missed == pytest.approx(expected, rel=1e-3)
-    left = np.linalg.inv(doubted.stated.left_of(doubted.information))
+    left = np.linalg.inv(doubted.stated.marginal_information(doubted.information))
     slopes = scores_and_slopes(predict(doubted.vector, doubted.samples), doubted.samples)[1]
     beyond = np.diagonal(left - np.linalg.inv(slopes @ slopes.T))
     np.testing.assert_array_less(
@@ -167,7 +167,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
         columns.append(slope(ends[0], ends[1], 2e-4 / 5e-3))
     design = np.stack(columns, axis=1)
     whole = design.T @ design + np.diag([0, 0, 0, 1, 1])
-    gauss = found.stated.left_of(found.information)
+    gauss = found.stated.marginal_information(found.information)
     np.testing.assert_allclose(np.linalg.inv(gauss), np.linalg.inv(whole)[:3, :3], rtol=0.1, atol=0)
 
 

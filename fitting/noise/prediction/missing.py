@@ -393,9 +393,9 @@ class _Fit:
             self._values = self._sizes(self._columns, self._covariance(self._logs))[0]
             self._found = self._apply_effects(self._values)
         self._take_noise()
-        return self._missing(one, self._taken_sizes()[one.key], gain)
+        return self._missing(one, self._chosen_sizes()[one.key], gain)
 
-    def _taken_sizes(self) -> dict[str, Size]:
+    def _chosen_sizes(self) -> dict[str, Size]:
         """Return the sizes of all chosen effects, fitted together."""
         sizes, covariance = self._sizes(self._columns, self._covariance(self._logs))
         both = zip(self._taken, sizes, np.sqrt(np.diagonal(covariance)), strict=True)
@@ -404,7 +404,7 @@ class _Fit:
     def restated(self, found: list[Missing]) -> tuple[Missing, ...]:
         """Return the effects with their sizes from the regression on all effects together. Effects
         that are insignificant in this regression are omitted, unless none would remain."""
-        sizes, named = self._taken_sizes() if self._taken else {}, []
+        sizes, named = self._chosen_sizes() if self._taken else {}, []
         by_key = {one.key: one for one in self._taken}
         for one in found:
             size = sizes.get(one.key)

@@ -193,7 +193,7 @@ def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
         information=found.information,
         stated=stated,
         turned=lights,
-        identifiability=identifiability(space, stated.left_of(found.information)),
+        identifiability=identifiability(space, stated.marginal_information(found.information)),
         spread=found.spread,
         chi_square=chi_square(found.weights),
         sensor_chi_square=None if sensor is None else chi_square(sensor),
@@ -209,7 +209,7 @@ def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robu
     errors of lights and pixels and the errors that the rig states."""
     gradients, slopes = fit._scores_and_slopes
     slopes = slopes if fit.stated.slopes is None else fit.stated.slopes
-    among = fit.stated.left_of(fit.information)[np.ix_(known, known)]
+    among = fit.stated.marginal_information(fit.information)[np.ix_(known, known)]
     light, pixel = fit.selection.light, fit.selection.pixel
     found = cluster_robust(gradients[known], among, fit.regions[light], pixel, slopes=slopes[known])
     return add_stated_errors(found, fit.stated, among, known)

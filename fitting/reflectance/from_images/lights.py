@@ -273,7 +273,7 @@ class StatedErrors:
     # errors that the rig states and that are too small to matter
     left_out: tuple[LeftOut, ...] = ()
 
-    def left_of(self, information: Matrix) -> Matrix:
+    def marginal_information(self, information: Matrix) -> Matrix:
         """Return the (P, P) information about the parameters after marginalising over light
         directions.
 

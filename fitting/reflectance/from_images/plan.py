@@ -36,7 +36,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     parameter, and if no channel has all its parameters determined."""
     check_target(target, calibration.reported[0].requested)
     rigs = calibration.observation
-    new, described = _all_around(rigs)
+    new, described = _candidate_lights(rigs)
     lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
     lights += [(name, new, i) for i, name in enumerate(described)]
     plans = {}
@@ -84,7 +84,7 @@ def added_information(
     return slopes @ slopes.T
 
 
-def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
+def _candidate_lights(rigs: Photographs) -> tuple[Photographs, list[str]]:
     """Return the object under distant lights over the hemisphere, and descriptions of the lights'
     positions.
     """

@@ -30,7 +30,7 @@ def picture() -> np.ndarray:
     return np.stack([np.where(disc, 0.9 - band, band) + texture for band in bands], axis=-1)
 
 
-def _filtered(name: str, function: Callable[[Any, Any], Any], knob: str) -> Problem:
+def _filter_problem(name: str, function: Callable[[Any, Any], Any], knob: str) -> Problem:
     """Make a problem that applies a function of an image and a setting to the synthetic picture."""
 
     return problem_of(
@@ -44,11 +44,11 @@ def _method() -> Problem:
     def function(image: jax.Array, method: str) -> jax.Array:
         return filters.correlate(image, jnp.asarray(kernel / kernel.sum()), method=method)
 
-    return _filtered("15 x 15 kernel", function, "filter method")
+    return _filter_problem("15 x 15 kernel", function, "filter method")
 
 
 def _cut() -> Problem:
-    return _filtered(
+    return _filter_problem(
         "Gaussian blur",
         lambda image, cut: filters.gaussian(image, SIGMA, truncate=cut),
         "Gaussian cut",
@@ -63,7 +63,7 @@ def _rank() -> Problem:
     def function(image: jax.Array, rank: int) -> jax.Array:
         return filters.correlate_low_rank(image, filters.low_rank(kernel, rank=rank))
 
-    return _filtered("disc of 21 pixels", function, "kernel rank")
+    return _filter_problem("disc of 21 pixels", function, "kernel rank")
 
 
 def _members() -> Problem:
@@ -73,11 +73,11 @@ def _members() -> Problem:
         bank = filters.blur_sigmas(0.0, 6.0, members=members)
         return filters.gaussian_varying(image, 6 * x, sigmas=bank)
 
-    return _filtered("blur that varies", function, "bank members")
+    return _filter_problem("blur that varies", function, "bank members")
 
 
 def _bilateral() -> Problem:
-    return _filtered(
+    return _filter_problem(
         "bilateral filter",
         lambda image, radius: filters.bilateral_filter(image, SIGMA, 0.1, radius=radius),
         "bilateral radius",
@@ -112,7 +112,7 @@ def _foreground() -> Problem:
 
 
 def _power() -> Problem:
-    return _filtered(
+    return _filter_problem(
         "gamma of 2.2",
         lambda image, method: gamma_decode(jnp.clip(image, 0, 1), 2.2, method=method),
         "power method",
@@ -143,7 +143,7 @@ def _table() -> Problem:
         table = jnp.sqrt(0.01 + jnp.linspace(0.0, 1.0, entries))
         return lookup(jnp.clip(image, 0, 1), table)
 
-    return _filtered("tone curve", function, "curve table")
+    return _filter_problem("tone curve", function, "curve table")
 
 
 EXAMPLES = {

@@ -49,9 +49,7 @@ def identity(name: str, loops: Loops) -> Loops:
         results = iter(primitive.bind(*known) if known else ())
         return [value if type(value) is ad.Zero else next(results) for value in values]
 
-    def batched(
-        values: Sequence[Array], axes: Sequence[int | None]
-    ) -> tuple[list[Array], list[int]]:
+    def batch(values: Sequence[Array], axes: Sequence[int | None]) -> tuple[list[Array], list[int]]:
         size = _size_of_batch(values, axes)
         moved = [
             jnp.broadcast_to(v, (size, *v.shape)) if axis is None else jnp.moveaxis(v, axis, 0)
@@ -63,7 +61,7 @@ def identity(name: str, loops: Loops) -> Loops:
     primitive.def_impl(lambda *values: list(values))  # eager values are already materialised
     primitive.def_abstract_eval(lambda *values: values)
     mlir.register_lowering(primitive, mlir.lower_fun(loops, multiple_results=True))
-    batching.primitive_batchers[primitive] = batched
+    batching.primitive_batchers[primitive] = batch
     ad.primitive_jvps[primitive] = lambda values, tangents: (
         primitive.bind(*values),
         evaluate(tangents),

@@ -177,7 +177,7 @@ class SceneEntry(Entry):
     wavelengths: Wavelengths | None = None
 
     @model_validator(mode="after")
-    def _bands_once(self) -> "SceneEntry":
+    def _check_bands(self) -> "SceneEntry":
         if self.bands is not None and self.wavelengths is not None:
             raise ValueError("give either bands or wavelengths, which also say how many there are")
         return self

@@ -94,7 +94,7 @@ def solve_radiosity(
     if callable(table):
         if method != "iterative":
             raise ValueError(f"method {method!r} needs a table, got a function; use 'iterative'.")
-        found = _solve_together(table, albedo, sent, tolerance)
+        found = _solve_bands(table, albedo, sent, tolerance)
         return _mark_unbounded(found, table(jnp.ones_like(albedo)), albedo, sent)
     table = as_float(table)
     if method == "progressive":
@@ -156,7 +156,7 @@ def _gmres(tolerance: float) -> "lineax.GMRES":
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
 
 
-def _solve_together(
+def _solve_bands(
     product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
 ) -> PatchSpectra:
     """Solve the radiosity equation by GMRES for all bands together, so that each product computes
