@@ -107,7 +107,7 @@ class Parameter(eqx.Module):
 
 
 def _fault(parameter: Parameter) -> str | None:
-    """Return what is wrong with a parameter, in words; None if nothing is."""
+    """Return a sentence on a mistake in a parameter; None if there is no mistake."""
     logarithm, start = parameter.transform == "log", parameter.start
     given = (parameter.lower, parameter.upper, parameter.lower if start is None else start)
     try:
@@ -396,9 +396,8 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
 
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
     """Return evenly spaced quantiles of a scalar parameter's prior within its bounds, in its unit.
-    Without a prior they are those of the flat density between the bounds; without both the result
-    is None.
-    """
+    Without a prior, the density is flat between the bounds; without prior and bounds, the result is
+    None."""
     if (prior := parameter.prior) is not None:
         low, high = (share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))

@@ -266,10 +266,9 @@ def _pixel_moments(
     values: Values, form: Form, geometry: Geometry, white: Array, weights: np.ndarray
 ) -> tuple[Array, ...]:
     """Return five arrays for X, the signal averaged over the points of a pixel, which are the first
-    axis of the geometry. The arrays are the expected digital number for X or its noise, whichever
-    is larger; X itself; the variance of the digital number; the standard deviation of X; and the
-    expected digital number for X.
-    """
+    axis of the geometry. The arrays are: the expected digital number for X or for its noise,
+    whichever is larger; X; the variance of the digital number; the standard deviation of X; and the
+    expected digital number for X."""
     x = jnp.tensordot(weights, signal(values, form, geometry), 1)
     gain = values["system_gain"]
     noise = jnp.sqrt(gain * x + (gain * values["read_noise"]) ** 2)

@@ -131,9 +131,8 @@ def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: st
 def edge_beside_mask(
     picture: Float[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"], outline: Outline
 ) -> Float[np.ndarray, "3"] | None:
-    """Return by how much column, row and radius of a ball's edge in a picture differ from those of
-    its mask, pixels; None if the picture shows no edge round the ball.
-    """
+    """Compare a ball's edge in a picture with its mask. Return the differences in column, row and
+    radius, in pixels; None if the picture shows no edge round the ball."""
     seen, drawn = (_edge(one, outline.values) for one in (picture, mask.astype(float)))
     return None if seen is None or drawn is None else seen - drawn
 

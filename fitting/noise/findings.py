@@ -470,8 +470,8 @@ def _highest_unsaturated(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _long_exposures(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding that exposures are read as seconds; None if those of the
-    flats are short, or if there is no dark current."""
+    """Return the numbers for the finding that exposures are read as seconds; None if the exposures
+    of the flats are short, or if there is no dark current."""
     bright, current = calibration.measurement.bright, calibration.estimates.get("dark_current")
     times, frames = np.asarray(bright.exposure), np.asarray(bright.frames)
     if current is None or not current.value or times.max() < LONG_EXPOSURE:

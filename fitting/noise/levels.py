@@ -322,8 +322,8 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
 
 def partly_saturated(measurement: PhotonTransfer) -> Bool[np.ndarray, " levels"]:
-    """Return a mask of the bright levels of which a part of the pixels is saturated although their
-    mean is clear of the end of the scale, because light or gains are uneven."""
+    """Return a mask of the bright levels at which some pixels are saturated although the mean is
+    far below the end of the scale, because light or gains are uneven."""
     ended = measurement.bright.ended
     if ended is None:
         return np.zeros(measurement.bright.mean.shape, bool)

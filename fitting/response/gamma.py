@@ -326,8 +326,8 @@ def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
-    """Return the chi-square of the best gamma over that of the free curve, at least 1. This ratio
-    widens the intervals of gamma if the response is not a pure gamma."""
+    """Return the ratio of two chi-squares, of the best gamma and of the free curve; at least 1.
+    This ratio widens the intervals of gamma if the response is not a pure gamma."""
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])

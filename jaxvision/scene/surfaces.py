@@ -124,7 +124,7 @@ class Scene(Shown):
             in which case no shadow rays are traced. In `transport`, which follows light from
             surface to surface, every surface blocks. Static.
         rules: sampling rule of each light: a `lights.Rule`, or None for the rule that is passed to
-            the integrator. None instead of the tuple uses that rule for all lights.
+            the integrator. If `rules` is None, that rule is used for all lights.
 
     Example:
         >>> ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.5 / np.pi]))

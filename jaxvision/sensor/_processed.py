@@ -56,7 +56,7 @@ def _sums(values: Plane) -> np.ndarray:
 def noise_ratios(image: Plane, variance: Plane, codes: Plane) -> Float[np.ndarray, " blocks"]:
     """Return the measured noise variance of each block of a frame, from second differences of its
     pixels, divided by the stated noise variance. Only blocks with enough light, and with more noise
-    than the rounding of codes, are used. If they are too few, there are none."""
+    than the rounding of codes, are used. If there are too few such blocks, the result is empty."""
     if min(image.shape) < BLOCK + 4:
         return np.zeros(0)
     weights = (1.0, -2.0, 1.0)
@@ -113,8 +113,8 @@ def looks_without_black(
 
 
 def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> str | None:
-    """Return a clause on how a frame shows a pattern in another place, or an empty clause, if it
-    contains less than half of the pattern in its own place; else None."""
+    """Return None if a frame contains at least half of a pattern in its own place. Otherwise return
+    a clause that names another place where the frame shows the pattern, or "" for none."""
     if not _holds(frame, pattern, noise, weight)[0]:
         return None
     for axis, words in (

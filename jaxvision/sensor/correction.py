@@ -314,9 +314,10 @@ def correct(
             differs from the frames', and a flat that is saturated throughout.
 
     Warns:
-        UserWarning: unless traced, for a dark master that differs much from the dark signal of the
-            camera; for raw numbers below those without light, above the last code or not whole;
-            for a frame with much less noise than the camera, or without the masters' pattern.
+        UserWarning: if the dark master differs much from the dark signal of the camera; if raw
+            numbers are not whole, are above the last code, or are below the numbers without light;
+            and if a frame has much less noise than the camera, or lacks the pattern of the masters.
+            Traced arrays give no warning.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -532,8 +533,8 @@ def _patterns(
 
 
 def _dark_signal(sensor: Sensor, raw: Counts) -> tuple[Counts, Counts, Counts]:
-    """Return mean, temporal variance and pattern variance of a dark frame, DN and DN^2. Where all
-    pixels have the same, the frame is a single pixel, (1, 1, bands)."""
+    """Return mean, temporal variance and pattern variance of a dark frame, DN and DN^2. If all
+    pixels have the same values, the result is a single pixel, (1, 1, bands)."""
     height, width, bands = raw.shape[-3:]
     colours = sensor.colour_filter
     if colours is not None:
