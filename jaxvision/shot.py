@@ -121,15 +121,16 @@ def capture(
             `sensor.exposure_slots` places them.
         tolerance: largest change of the raw values by removed effects, as in `effects.prune`, such
             as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then contain
-            the kept bands only. None removes what is proved to change nothing where looking is
-            cheap: from large pictures by direct light with a quadrature, of a known scene at rest,
-            on a processor. Inside `jit` that is a scene that is no argument; the numbers of one
-            that is are unknown.
+            the kept bands only. None removes only effects that are proved to change nothing, and
+            only where the search for them takes little time: on a processor, for a large picture of
+            a scene at rest, under direct light by quadrature. Inside `jit` it removes nothing from
+            a scene that is an argument of the jitted function, because the numbers of the scene are
+            then unknown.
         integrator: static; the method that computes radiance. None for direct light, by `render`.
             `Paths` for reflected light as well; its paths are drawn by `key`, the same for every
             moment of a motion. Or any function of scene and view, such as one that calls
             `ray_traced` or `radiosity_image`.
-        keep_all: static; whether to remove nothing where there is no tolerance.
+        keep_all: static; whether to remove nothing if `tolerance` is None.
 
     Returns:
         Radiance, irradiance, raw values and the developed picture; where effects were removed, also

@@ -51,11 +51,10 @@ from .paths import Paths, path_traced
 class _Arrival(eqx.Module):
     """The contribution of a path's vertex to the picture.
 
-    `toward` is the unit vector from the vertex to the camera, and `distance` that to the camera, ()
-    m. `row` and `column` are the position in the picture, () in pixels. `response`, () m^-2, is the
-    radiance of the pixel for a flux of 1 W and a reflection of 1 sr^-1; it is 0 for a vertex behind
-    the camera.
-    """
+    `toward` is the unit vector from the vertex to the camera, and `distance` the distance between
+    them, () m. `row` and `column` are the position in the picture, () in pixels. `response`, ()
+    m^-2, is the radiance of the pixel for a flux of 1 W and a reflection of 1 sr^-1; it is 0 for a
+    vertex behind the camera."""
 
     toward: Vec
     distance: Scalar
