@@ -221,26 +221,21 @@ def _exclude_disjoint(
     for k, source in enumerate(sources):
         if source.kind == "sky":
             continue
-        receiver, occluder = np.nonzero(
-            may[k] & bounded[:, None] & bounded & ~np.eye(n, dtype=bool)
-        )
-        if not receiver.size:
+        pairs = may[k] & bounded[:, None] & bounded & ~np.eye(n, dtype=bool)
+        if not pairs.any():
             continue
         lit = swept(source, bodies, reach)
         # first along fixed directions, then by search for the remaining triples
-        high, low = heights(lit, DIRECTIONS), -heights(bodies, -DIRECTIONS)
-        clear = np.zeros(len(receiver), bool)
-        for start in range(0, len(receiver), _BATCH):
-            part = slice(start, start + _BATCH)
-            clear[part] = (low[occluder[part]] - high[receiver[part]]).max(1) > tolerance
-        rest = np.flatnonzero(~clear)
-        found = gap(
-            select_bodies(lit, receiver[rest]),
-            select_bodies(bodies, occluder[rest]),
-            enough=tolerance,
-        )
-        clear[rest] = found > tolerance
-        may[k, receiver[clear], occluder[clear]] = False
+        high, low = heights(lit, DIRECTIONS).T.copy(), -heights(bodies, -DIRECTIONS).T.copy()
+        clear, rows = np.zeros((n, n), bool), -(-_BATCH // n)
+        for start in range(0, n, rows):
+            part = slice(start, start + rows)
+            for top, bottom in zip(high, low, strict=True):
+                clear[part] |= bottom - top[part, None] > tolerance
+        receiver, occluder = np.nonzero(pairs & ~clear)
+        found = gap(select_bodies(lit, receiver), select_bodies(bodies, occluder), enough=tolerance)
+        clear[receiver, occluder] = found > tolerance
+        may[k] &= ~(pairs & clear)
 
 
 def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:

@@ -58,7 +58,7 @@ def shaded(
     flagged in `wanted`, (l, c). For a flagged pair, False means that nothing lies between light and
     cell. All other pairs are False. `may`, (l, n, n), is the result of `blocking.may_block`."""
     found = wanted & np.any(may, axis=2)[:, cells.surface]
-    count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
+    count = int((found * may.sum(axis=2)[:, cells.surface]).sum())
     if not 0 < count <= _PAIRS:
         return found
     reach = reach_of(surfaces, sources)
