@@ -652,9 +652,8 @@ def _copies(stack: Images) -> tuple[str, ...]:
 def _contradicted_images(
     rows: Rows, readings: Readings, counts: Counted, limits: Limits
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
-    """Return the images that most pixels contradict although the other images predict them between
-    the limits, with findings.
-    """
+    """Return the images that contradict the other images in most pixels, with findings. Only pixels
+    that the other images predict to lie between the limits are counted."""
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = _scatter(rows, readings, counts, g, used)
     expected = _within_limits(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)

@@ -175,8 +175,8 @@ def slope_error(noise: NoiseModel) -> float:
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of an error of g whose period equals the step of ln
-    t. No image reveals such an error."""
+    """Return the standard deviation, in ln X, of a ripple in the curve g whose period is the step
+    of ln t between exposures. No image reveals such a ripple."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))

@@ -143,7 +143,8 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _ladder(session: Session, settings: Sequence[Any]) -> list[dict[int, np.ndarray]]:
-    """Return the prepared results of each setting, for the seeds that all have."""
+    """Return the prepared results of each setting, for the seeds that all settings have in
+    common."""
     results = (session.points[setting].results for setting in settings)
     return [{seed: session.compared(own[seed]) for seed in PAIR_SEEDS} for own in results]
 
