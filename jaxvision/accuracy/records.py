@@ -69,7 +69,7 @@ class Problem:
         about: sentences on the meaning of errors and times.
         compiling: s, expected time to compile one more program, before any measurement.
         once: s, part of a call that the whole computation needs only once, such as the work before
-        the first pixel of a picture.
+            the first pixel of a picture.
         error_axis: label for the axis of errors, with their unit.
         compared: function from a result, or the mean of several, to the numbers that are compared,
             such as radiance clipped at white; None for the result itself.

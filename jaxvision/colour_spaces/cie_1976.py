@@ -68,7 +68,8 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
         (..., 3) L* from 0 to 100, a* and b*, no unit.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
 
     Source: CIE 15:2018, 8.2.1.
     """
@@ -113,7 +114,8 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
         (..., 3) L* from 0 to 100, u* and v*, no unit.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
 
     Source: CIE 15:2018, 8.2.2.
     """

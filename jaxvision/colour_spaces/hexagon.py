@@ -27,7 +27,8 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
         (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black; and value, relative.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
 
     Source: Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978.
     """
@@ -49,7 +50,8 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
         (..., 3) relative RGB.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
     """
     refuse_codes(hsv)
     hue, saturation, value = parts(hsv)
@@ -74,7 +76,8 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
         lightness, relative.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
     """
     refuse_codes(rgb)
     least, most = _ends(*parts(rgb))
@@ -98,7 +101,8 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
         (..., 3) relative RGB.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
     """
     refuse_codes(hsl)
     hue, saturation, lightness = parts(hsl)

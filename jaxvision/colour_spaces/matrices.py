@@ -47,7 +47,8 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
         (..., 3) XYZ, relative: Y = 1 is white.
 
     Raises:
-        ValueError: for a last axis other than 3, and for codes.
+        ValueError: for a last axis other than 3, and for codes such as 0 to 255 in place of
+            relative values.
 
     Example:
         >>> white = jv.colour_spaces.rgb_to_xyz(jnp.ones(3))

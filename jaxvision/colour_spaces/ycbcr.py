@@ -26,7 +26,8 @@ def rgb_to_ycbcr(
         (..., 3) relative.
 
     Raises:
-        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes.
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes such as
+            0 to 255 in place of relative values.
     """
     refuse_codes(rgb)
     matrix, _, zero = _ycbcr(standard, levels, bits)
@@ -50,7 +51,8 @@ def ycbcr_to_rgb(
         (..., 3) encoded R'G'B', relative.
 
     Raises:
-        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes.
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes such as
+            0 to 255 in place of relative values.
     """
     _, inverse, zero = _ycbcr(standard, levels, bits)
     refuse_codes(ycbcr := check_colours(ycbcr))

@@ -142,7 +142,8 @@ def jpeg(
         The picture's shape, relative.
 
     Raises:
-        ValueError: for another choice, other than one or three bands, and codes.
+        ValueError: for another choice, other than one or three bands, and codes such as 0 to 255 in
+            place of relative values.
 
     Example:
         >>> row = jnp.linspace(0.0, 1.0, 8)

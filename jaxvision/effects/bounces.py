@@ -219,8 +219,9 @@ def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
     """Return an upper bound on the light that arrives at each of i receiving surfaces, (i, bands),
     from n sending surfaces of radiance `sent`, (n, bands). The share of the received light that
     comes from each sender is at most `shares`, (i, n). The shares of one receiver sum to at most 1.
-    The bound assigns shares to the brightest senders first. In a large scene the bound is the sum
-    of all shares, or the brightest sender if that is less."""
+    The bound assigns shares to the brightest senders first. In a large scene the bound is the
+    radiance of the brightest sender, or the sum of all shares times their radiances if that is
+    less."""
     if shares.size > _ORDERED and np.isfinite(sent).all():
         lit = sent.any(axis=1)
         return np.minimum(shares[:, lit] @ sent[lit], sent.max(0))

@@ -65,7 +65,7 @@ def read_camera(
         wavelengths: (bands,) m, used in place of the wavelengths in the file, for a camera with
             measured spectral sensitivities.
         draws: number of draws of a fitted camera, which are stored in a second file next to it;
-        None for the best fit.
+            None for the best fit.
 
     Returns:
         The camera; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -134,7 +134,7 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
     Args:
         source: path of the file.
         draws: number of draws of a fitted sensor, which are stored in a second file next to it;
-        None for the best fit.
+            None for the best fit.
 
     Returns:
         The sensor; with draws, every number of it has a leading axis, for `jax.vmap`.

@@ -48,7 +48,7 @@ def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
 
     Raises:
         InputError: for a file of another kind, a truncated file, and angles or numbers that no lamp
-        has.
+            has.
 
     Example:
         >>> from pathlib import Path

@@ -25,7 +25,7 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     Args:
         file: a file written by `write_material`.
         draws: number of draws of a fitted material, which are stored in a second file next to it;
-        None for the best fit.
+            None for the best fit.
 
     Returns:
         The material; with draws, every number of it has a leading axis, for `jax.vmap`.

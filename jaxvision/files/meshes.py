@@ -82,7 +82,7 @@ def read_mesh(
             file's scene.
         dtype: floating dtype; None is JAX's default.
         uv: whether to read texture coordinates, of an OBJ (whose v points upward, and is reversed
-        here) or of a glTF primitive.
+            here) or of a glTF primitive.
 
     Returns:
         The mesh.

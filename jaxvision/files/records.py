@@ -60,7 +60,7 @@ def write_record(
 
     Raises:
         InputError: for a file name with another ending, draws of another record, or draws without a
-        leading axis.
+            leading axis.
     """
     import tomli_w
 

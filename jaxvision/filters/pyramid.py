@@ -194,7 +194,7 @@ def blend_by_pyramid(
         first: (h, w) or (..., h, w, bands), relative or DN.
         second: the same shape and unit.
         mask: the same shape, or with one band for all; no unit, in [0, 1]. Values outside this
-        range extrapolate.
+            range extrapolate.
         levels: levels of the pyramids, at least 1; 1 is the plain blend.
         border: a key of `padding.BORDERS` but "constant".
 

@@ -184,7 +184,7 @@ def daylight(
 
     Warns:
         UserWarning: if the formula is negative in some direction, where the radiance is then set to
-        0.
+            0.
 
     Example:
         >>> sky = jv.lights.daylight(16, [0, 0, 1], irradiance=[100.0])

@@ -75,7 +75,7 @@ def matte_errors(
         image: (h, w, bands) linear relative light, as for `closed_form_matte`.
         trimap: (h, w) no unit, as for `closed_form_matte`.
         draws: number of simulated pictures, at least 2, static. With 16 the standard deviations
-        have an error of a fifth.
+            have an error of a fifth.
         epsilon: as for `closed_form_matte`.
         confidence: as for `closed_form_matte`.
 

@@ -229,7 +229,7 @@ def corner(
         draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each
             number of an array has its own row.
         truth: true values by the same names, drawn in red; a parameter without a true value has no
-        red line; None for none.
+            red line; None for none.
 
     Returns:
         The figure.

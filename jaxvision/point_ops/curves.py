@@ -45,7 +45,8 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
         (...) relative, encoded.
 
     Raises:
-        ValueError: for a gamma of 0 or less, an unknown method, and codes.
+        ValueError: for a gamma of 0 or less, an unknown method, and codes such as 0 to 255 in place
+            of relative values.
 
     Example:
         >>> round(float(jv.gamma_encode(jnp.array(0.5), 2.2)), 4)
@@ -71,7 +72,8 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
         (...) relative, linear.
 
     Raises:
-        ValueError: for a gamma of 0 or less, an unknown method, and codes.
+        ValueError: for a gamma of 0 or less, an unknown method, and codes such as 0 to 255 in place
+            of relative values.
 
     Example:
         >>> round(float(jv.gamma_decode(jnp.array(0.5), 2.2)), 4)

@@ -62,7 +62,8 @@ def lookup_3d(
         (..., channels) in the table's unit.
 
     Raises:
-        ValueError: for an axis of fewer than two entries, an image without three bands, and codes.
+        ValueError: for an axis of fewer than two entries, an image without three bands, and codes
+            such as 0 to 255 in place of relative values.
     """
     refuse_codes(image := as_relative(image))
     if image.shape[-1:] != (3,):

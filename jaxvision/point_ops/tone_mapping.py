@@ -35,7 +35,7 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for codes.
+        ValueError: for codes such as 0 to 255 in place of relative values.
 
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
     equations 3 and 4.
@@ -123,7 +123,7 @@ def filmic(x: Scalars) -> Scalars:
         (...) relative, in [0, 1].
 
     Raises:
-        ValueError: for codes.
+        ValueError: for codes such as 0 to 255 in place of relative values.
 
     Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve" (2016).
     """
@@ -152,7 +152,7 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for a strength below 0, and codes.
+        ValueError: for a strength below 0, and codes such as 0 to 255 in place of relative values.
 
     Source: the mu-law of ITU-T G.711.
     """

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from public_names import functions, home, modules, records, traced
+from public_names import defined, functions, home, modules, records, traced
 
 import fitting
 import jaxvision
@@ -109,6 +109,21 @@ def test_exported_records_explain_their_fields():
         if dataclasses.is_dataclass(record)
     }
     assert not any(found.values()), report(found)
+
+
+def test_the_lines_of_one_entry_are_indented_below_its_name():
+    """At the indent of the names a line begins another entry of the site's table."""
+    faults = []
+    for name, thing in (*defined(jaxvision), *defined(fitting)):
+        for heading in ("Args", "Attributes", "Raises"):
+            lines = [
+                x for x in sections(thing).get(heading, "").splitlines() if x.startswith("    ")
+            ]
+            first = [x for x in lines if not x.startswith("     ")]
+            faults += [
+                (name, x) for x in first if not re.match(r" {4}[\w*, ]+( \(.*?\))?:( |$)", x)
+            ]
+    assert not faults
 
 
 def test_records_are_documented():
