@@ -244,3 +244,36 @@ def test_what_opencv_calibrates_beyond_the_model_is_refused():
         optics.opencv_view(skew, resolution=(48, 64))
     with pytest.raises(ValueError, match="matrix must be"):
         optics.opencv_view(matrix.T, resolution=(48, 64))
+
+
+@pytest.mark.parametrize(("k1", "beyond"), [(-0.2, False), (-0.525, True), (-1.2, True)])
+def test_pixels_beyond_a_fold_are_counted(k1, beyond):
+    """Against pixels from which no slope is found; cameras of bad calibrations have such pixels."""
+    matrix = np.array([[43.0, 0, 20.0], [0, 43.0, 19.9], [0, 0, 1]])
+    view = optics.opencv_view(matrix, coefficients=[k1, 0, 0, 0], resolution=(40, 40))
+    right, down = np.meshgrid((np.arange(40) - 19.5) / 43, (np.arange(40) - 19.5) / 43)
+
+    def back(x, y):
+        return jnp.stack(optics.distort(view.distortion, *optics.undistort(view.distortion, x, y)))
+
+    met = jax.vmap(back)(a(right.ravel()), a(down.ravel())).T
+    off = np.hypot(*(np.asarray(met) - [right.ravel(), down.ravel()])) > 1e-3
+    share = optics.resampling.folded_share(view)
+    np.testing.assert_allclose(share, off.mean(), atol=0.005)
+    assert (share > 0) == beyond
+    plain = optics.opencv_view(matrix, resolution=(40, 40))
+    assert optics.resampling.folded_share(plain) == 0
+
+
+def test_a_picture_that_is_undistorted_beyond_a_fold_is_named():
+    matrix = np.array([[43.0, 0, 20.0], [0, 43.0, 19.9], [0, 0, 1]])
+    folded, plain = (
+        optics.opencv_view(matrix, coefficients=[k1, 0, 0, 0], resolution=(40, 40))
+        for k1 in (-1.2, -0.3)
+    )
+    picture = jnp.ones((40, 40, 1))
+    with pytest.warns(UserWarning, match=r"9\.5 % of the pixels lie beyond the fold"):
+        optics.undistort_image(folded, picture)
+    with pytest.warns(UserWarning, match="% of the pixels lie beyond the fold"):
+        optics.distort_image(folded, picture)
+    optics.undistort_image(plain, picture)
