@@ -8,17 +8,16 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, warn_caller
 from ..core._types import Image, Scalars, check_choice, is_known, print_by_name
 from ..scene import Pinhole, ThinLens
+from ._folds import folded_share
 from .distortion import distort, undistort
 from .views import pixel_grid, pixel_offset, sensor_vergence
 
 INTERPOLATIONS = ("linear", "cubic")
-_STEEPEST = 20.0  # largest slope of a ray that is looked at, 87 degrees
 
 Coordinates = Float[Array, "rows columns"]
 print_by_name(globals(), "Coordinates")
@@ -159,7 +158,12 @@ def _bent(
         raise ValueError(
             f"the picture must be {view.resolution}, as the view is, got {image.shape[-3:-1]}."
         )
-    if share := folded_share(view, ideal=move is distort):
+    share = 0.0
+    if all(map(is_known, jax.tree.leaves(view))):
+        with jax.ensure_compile_time_eval():
+            pitch = float(sensor_vergence(view) * view.pixel_pitch)
+        share = folded_share(view.distortion, pitch, view.resolution, ideal=move is distort)
+    if share:
         warn_caller(
             f"{100 * share:.2g} % of the pixels lie beyond the fold of the distortion, at which "
             "images turn back, and show light from elsewhere; correct the coefficients."
@@ -176,30 +180,6 @@ def _bent(
     row, column = jnp.meshgrid(*pixel_grid(view), indexing="ij")
     at_row, at_column = jax.vmap(jax.vmap(source))(row, column)
     return sample_image(image, at_row, at_column, interpolation=interpolation)
-
-
-def folded_share(view: Pinhole | ThinLens, *, ideal: bool = False) -> float:
-    """Return the share of a view's pixels beyond the fold of its distortion, from 0 to 1: no light
-    falls there, or, with `ideal`, in a picture without distortion, light that the lens images to
-    another pixel. Coefficients of a bad calibration fold within the picture. Tangential distortion
-    is neglected. 0 for traced views."""
-    lens = view.distortion
-    if lens is None or not all(map(is_known, jax.tree.leaves(view))):
-        return 0.0
-    slopes = np.linspace(0, _STEEPEST, 4001)
-    powers = slopes[:, None] ** (2 * np.arange(1, 1 + len(lens.radial)))
-    images = slopes * (1 + powers @ np.asarray(lens.radial, float))
-    folds = np.flatnonzero(np.diff(images) <= 0)
-    if not folds.size:
-        return 0.0
-    limit = slopes[folds[0]] if ideal else images[folds[0]]
-    per_pixel = float(sensor_vergence(view) * view.pixel_pitch)
-    down, right = (per_pixel * (np.arange(n) - (n - 1) / 2) for n in view.resolution)
-    if not ideal:
-        across, below = (0.0, 0.0) if lens.shift is None else np.asarray(lens.shift, float)
-        stretch = 1.0 if lens.stretch is None else float(lens.stretch)
-        down, right = (down - below) / stretch, right - across
-    return float(np.mean(np.hypot(down[:, None], right) > limit))
 
 
 def _linear_taps(x: Scalars) -> list[tuple[Array, Scalars]]:

@@ -385,7 +385,7 @@ intensity = [10]
     view = jv.files.scenes.read_scene(tmp_path / "scene.toml").view
     folded = (tmp_path / "scene.toml").read_text().replace("[-0.1, 0.01, 0,", "[-1.5, 0, 0,")
     (tmp_path / "folded.toml").write_text(folded)
-    with pytest.warns(UserWarning, match="lie beyond the fold of its distortion, where no light"):
+    with pytest.warns(UserWarning, match="lie beyond the fold of the distortion, where no light"):
         jv.files.scenes.read_scene(tmp_path / "folded.toml")
     seen = jv.project(view, jnp.zeros(3, view.position.dtype))
     assert float(seen.column) == pytest.approx(20.5, abs=1e-4)

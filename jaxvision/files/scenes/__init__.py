@@ -25,7 +25,6 @@ from ...core._warnings import warn
 from ...core.in_notebooks import record_html
 from ...errors import InputError, nearest
 from ...geometry.checks import coarse, invalid
-from ...optics.resampling import folded_share
 from ...rendering.scene_checks import lost_numbers, scene_problems
 from ...scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from ..gltf import SUFFIXES as GLTF
@@ -162,11 +161,6 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         scene = Scene(surfaces, lights, ambient, occluders=occluders)
     for problem in scene_problems(scene, view, names, light_names):
         raise InputError(f"{file}: {problem}")
-    if getattr(view, "distortion", None) is not None and (share := folded_share(view)):
-        warn(
-            f"{file}: camera: {100 * share:.2g} % of its pixels lie beyond the fold of its "
-            "distortion, where no light falls; correct the coefficients."
-        )
     dtype = entry.render.dtype
     if dtype == "float64" and not jax.config.read("jax_enable_x64"):
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
