@@ -42,14 +42,25 @@ def shares(z) -> list[str]:
 
 
 def lamps(count: int = 200) -> None:
-    """Directions from balls, and a reflectance fitted through those of a mirror ball."""
+    """Directions and positions from balls, and a reflectance fitted through those of a mirror."""
     for kind in ("mirror", "matte"):
         z, square, dof = balls.check_coverage(kind, range(count))
         joint = np.mean(square < chi2.ppf(0.95, dof))
         row(kind, f"{np.mean(z < 1.96):.3f}", f"{joint:.3f}", f"{np.mean(square) / dof:.2f}")
-    for shared in (True, False):
-        found = [balls.reflectance_through_lights(k, shared=shared) for k in range(count)]
-        row("reflectance", "covariance" if shared else "independent", count, *shares(found))
+    z, square, _ = map(
+        np.array, zip(*map(balls.positions_from_two_balls, range(count)), strict=True)
+    )
+    joint, ratio = np.mean(square < chi2.ppf(0.95, 9)), np.mean(square) / 9
+    row("two balls", f"{np.mean(np.abs(z) < 1.96):.3f}", f"{joint:.3f}", f"{ratio:.2f}")
+    for name, how in (
+        ("as found, covariance", {}),
+        ("as found, independent", {"shared": False}),
+        ("drawn, covariance", {"drawn": True}),
+        ("drawn, independent", {"drawn": True, "shared": False}),
+    ):
+        found = [balls.reflectance_through_lights(seed, **how) for seed in range(count)]
+        errors, sds = np.transpose(found)
+        row(name, count, *shares(errors / sds), f"{100 * np.median(np.abs(errors)):.3f} %")
 
 
 def edges(count: int = 500) -> None:

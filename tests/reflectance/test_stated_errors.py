@@ -22,6 +22,7 @@ from fitting.reflectance.from_images.lights import (
     add_stated_errors,
     beyond_turns,
     information_on_turns,
+    likeliest_turns,
 )
 from fitting.reflectance.from_images.samples import (
     Selection,
@@ -263,6 +264,27 @@ def test_what_turns_leave_is_what_their_elimination_leaves(fitted):
         s = (shifts / deviation)[:, own].T
         expected += values[:, own] @ np.linalg.solve(np.eye(own.sum()) + s @ s.T, values[:, own].T)
     np.testing.assert_allclose(left @ left.T, expected, rtol=1e-10, atol=1e-9)
+
+
+def test_rotations_and_parameters_are_fitted_together(fitted):
+    """One step from the true optimum of both, by a dense least squares; five lights of which each
+    error is shared in part."""
+    found, rng = fitted[1](), np.random.default_rng(3)
+    samples, light = found.samples, found.selection.light
+    prediction = predict(found.vector + 0.1, samples)
+    deviation = np.asarray(samples.deviation, float)
+    slopes = scores_and_slopes(prediction, samples)[1]
+    shifts = deviation * (0.5 * slopes[:2] + 0.01 * rng.standard_normal((2, len(light))))
+    root = np.tril(rng.uniform(0.5, 1, (10, 10)))
+    before = 0.1 * rng.standard_normal((5, 2))
+    turns = likeliest_turns(shifts, before, prediction, samples, found.selection, root @ root.T)
+    moves = np.zeros((len(light), 5, 2))
+    moves[np.arange(len(light)), light] = (shifts / deviation).T
+    moves = moves.reshape(len(light), 10)
+    left = (np.asarray(samples.dn) - prediction.dn) / deviation + moves @ before.ravel()
+    whole = np.block([[moves, slopes.T], [np.linalg.inv(root), np.zeros((10, len(slopes)))]])
+    best = np.linalg.lstsq(whole, np.append(left, np.zeros(10)))[0][:10]
+    np.testing.assert_allclose(turns.ravel(), best, rtol=1e-6, atol=1e-8)
 
 
 def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):

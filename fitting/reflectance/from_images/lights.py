@@ -120,15 +120,23 @@ def likeliest_turns(
     selection: Selection,
     prior: Prior | None,
 ) -> Turns:
-    """Return the most likely rotations of the lights' directions, (lights, 2) rad, at given
-    parameters. The prediction is linearised about the rotations `turns`."""
+    """Return the most likely rotations of the lights' directions, (lights, 2), for the parameters
+    that are best for these rotations. The prediction is linearised about the rotations `turns` and
+    the parameters. (With fixed parameters, the alternation would stop far from the optimum where
+    parameters and rotations change the prediction alike.)
+    """
     moves, light = shifts * inverse_deviation(samples), selection.light
     left = (samples.dn - prediction.dn) * inverse_deviation(samples)
     left = left + np.einsum("as,sa->s", moves, turns[light])
     pulls = np.stack([np.bincount(light, m * left, len(turns)) for m in moves], axis=1)
     information = information_on_turns(shifts, samples, selection, len(turns))
     own = np.eye(turns.size) if prior is None else np.linalg.inv(prior)
-    return np.linalg.solve(own + information, pulls.ravel()).reshape(-1, 2)
+    slopes = scores_and_slopes(prediction, samples)[1]
+    both = np.array([[np.bincount(light, row * m, len(turns)) for m in moves] for row in slopes])
+    both = np.swapaxes(both, 1, 2).reshape(len(slopes), -1)  # J^T S
+    taken = both.T @ np.linalg.pinv(slopes @ slopes.T, hermitian=True)
+    pulls = pulls.ravel() - taken @ (slopes @ left)
+    return np.linalg.solve(own + information - taken @ both, pulls).reshape(-1, 2)
 
 
 def information_on_turns(
