@@ -8,7 +8,7 @@ import numpy as np
 
 from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
-from ..inference.formatting import format_p, format_with_error, format_within
+from ..inference.formatting import format_p, format_percent, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from ..report.sentences import Finding, Numbers, evaluate_findings
 from .brighter_fatter import own_area_change
@@ -16,7 +16,7 @@ from .calibration import NoiseCalibration, lamp_error, steady_linearity
 from .counted import SUB_ELECTRON
 from .doubts import drifting, printed_times, trend_of
 from .emva1288 import is_floored, least_dark_variance
-from .levels import PhotonTransfer, partly_saturated_in_words, signal_of
+from .levels import PhotonTransfer, partly_saturated_in_words, shot_of, signal_of
 from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
@@ -34,6 +34,12 @@ LEAST_GROWTH = 3.0  # ratio of the rms unevenness to that at the shortest exposu
 LEAST_UNEVENNESS = 0.1  # least unevenness, relative to the noise of a pixel
 CONTRADICTION_SIGMAS = 4.0  # standard errors between a number of the rig and its estimate
 LONG_EXPOSURE = 10.0  # s, of a flat, from which exposures may be in milliseconds
+LEAST_DARK_SIGNAL = 0.02  # of the signal of the light
+SAME_RATE = 0.01  # difference of light over exposure time, up to which light follows the times
+FEWEST_FOR_NOISE = 4  # levels in the lower half of the signal
+# Standard errors between the noise of darks and of flats without light, and least logarithm of
+# their ratio
+SURE_OF_NOISE, LEAST_RATIO_OF_NOISE = 5.0, 0.05
 LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light is not reported
 
 
@@ -321,6 +327,53 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
     moved = offset * np.median(signal_of(measurement)[usable] / (light + offset))
     return {"moved": abs(moved), "side": "below" if moved > 0 else "above"}
+
+
+def _noise_of_darks(calibration: NoiseCalibration) -> Numbers | None:
+    """Return the dark noise of the darks and of the flats, extrapolated to no light; None if they
+    agree."""
+    return _dark_noises(calibration.measurement, calibration.usable)
+
+
+def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> Numbers | None:
+    """Compare the noise of the darks with that of the flats without light. The variance of flats
+    less that of their darks is a parabola over signal, which without light is 0."""
+    bright, dark = measurement.bright, measurement.dark
+    signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
+    low = signal < signal.max() / 2
+    least = float(np.min(np.asarray(dark.variance)))
+    fine = least > 2 * least_dark_variance(measurement) and bright.converter == dark.converter
+    if np.count_nonzero(low) < FEWEST_FOR_NOISE or not fine or measurement.doubts:
+        return None
+    error = np.asarray(bright.variance_error)[usable]
+    x = signal / signal.max()
+    design = np.stack([np.ones_like(x), x, x**2], axis=1) / error[:, None]
+    found, squares, *_ = np.linalg.lstsq(design, shot / error)
+    covariance = np.linalg.inv(design.T @ design)
+    covariance *= max(float(squares.sum()) / (len(x) - design.shape[1]), 1.0)
+    of_dark = np.median(np.asarray(dark.variance_error)) / np.sqrt(len(np.asarray(dark.mean)))
+    own = float(np.median(np.asarray(dark.variance)))
+    flats = own + float(found[0])
+    sure = abs(found[0]) > SURE_OF_NOISE * np.hypot(np.sqrt(covariance[0, 0]), of_dark)
+    if not sure or abs(np.log(max(flats, 1e-9) / own)) < 2 * LEAST_RATIO_OF_NOISE:
+        return None
+    return {"flats": np.sqrt(max(flats, 0.0)), "darks": np.sqrt(own)}
+
+
+def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
+    """Return the dark signal as a share of the signal by light if all light follows the exposure
+    times, so that both grow together; None if the share is small."""
+    measurement, usable = calibration.measurement, calibration.usable
+    bright, dark = measurement.bright, measurement.dark
+    times, lit = np.asarray(dark.exposure), np.asarray(bright.exposure)[usable]
+    light = np.asarray(bright.light)[usable]
+    if not measurement.photons_known or np.ptp(times) == 0 or not (lit > 0).all():
+        return None
+    if np.ptp(light / lit) > SAME_RATE * np.max(light / lit):
+        return None
+    rate = np.polyfit(times, np.asarray(dark.mean), 1)[0]
+    share = float(rate * np.median(lit / signal_of(measurement)[usable]))
+    return {"share": format_percent(share)} if share > LEAST_DARK_SIGNAL else None
 
 
 def _dimmest_offset(calibration: NoiseCalibration) -> bool:
@@ -756,6 +809,13 @@ FINDINGS = (
         "darks.",
     ),
     Finding(
+        "noise of the darks",
+        _noise_of_darks,
+        "Without light the flats have {flats:.3g} DN of noise, and the darks {darks:.3g} DN, as "
+        "darks of another gain, setting or camera have. Dark noise, read noise and DSNU are "
+        "computed from the darks: take them at the setting of the flats.",
+    ),
+    Finding(
         "dimmest level",
         _dimmest_offset,
         "Only the dimmest level shows this offset: instead, its light or its exposure time may be "
@@ -877,6 +937,13 @@ FINDINGS = (
         "(companding), not a full well. Only the levels below it are used. Figures that need the "
         "capacity are not determined, and the sensor file is wrong above the knee; give linear "
         "frames.",
+    ),
+    Finding(
+        "dark signal",
+        _dark_signal,
+        "Dark current gives {share} of the signal of the light, and both grow with exposure time. "
+        "It is that of the darks: if they were warmer or cooler than the flats, quantum efficiency "
+        "and responsivity are wrong by as much as the dark signals differ.",
     ),
     Finding(
         "long exposures",

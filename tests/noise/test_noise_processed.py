@@ -11,6 +11,7 @@ from scipy import ndimage
 import jaxvision as jv
 from fitting.noise import Camera, calibrate, from_frames, predict
 from fitting.noise.doubts import drifting
+from fitting.noise.findings import _dark_noises
 from fitting.noise.findings import findings as findings_of
 from fitting.noise.levels import linear_levels
 from fitting.noise.prediction.section import findings
@@ -299,6 +300,45 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
         assert any("1 level is not used because a part of the pixels" in one for one in sentences)
         assert not any("lens shading" in one for one in sentences)
     assert told.judged.missed == []
+
+
+def transfer(gain_of_darks, *, current=0.0, size=128, count=4, seed=0):
+    """Flats of 8 levels of one lamp, with darks of another gain and dark current (e⁻/s)."""
+    rng = np.random.default_rng(seed)
+
+    def frames(signal, gain):
+        electrons = rng.poisson(signal, (count, size, size)) + rng.normal(
+            0, READ, (count, size, size)
+        )
+        return list(np.round(gain * electrons + BLACK).astype(np.uint16))
+
+    times = PHOTONS / 1e5
+    flats = [frames(EFFICIENCY * light + current * light / 1e5, GAIN) for light in PHOTONS]
+    darks = [frames(current * time, gain_of_darks) for time in times]
+    return from_frames(flats, darks, list(times), list(PHOTONS), camera=Camera(bits=12))
+
+
+@pytest.mark.parametrize("ratio", [0.4, 1.6])
+def test_darks_of_another_gain_are_named_by_their_noise(ratio):
+    made = transfer(ratio * GAIN, size=160)
+    found = _dark_noises(made, linear_levels(made))
+    np.testing.assert_allclose(found["darks"], np.hypot(ratio * GAIN * READ, 12**-0.5), rtol=0.01)
+    np.testing.assert_allclose(found["flats"], np.hypot(GAIN * READ, 12**-0.5), rtol=0.25)
+
+
+def test_darks_of_the_same_camera_have_the_noise_of_its_flats():
+    for seed in range(4):
+        made = transfer(GAIN, size=64, seed=seed)
+        assert _dark_noises(made, linear_levels(made)) is None
+
+
+@pytest.mark.slow
+def test_the_part_of_dark_current_in_the_signal_is_said():
+    """A tenth of the signal of the light."""
+    current = 0.1 * EFFICIENCY * 1e5
+    told = " ".join(findings_of(calibrate(transfer(GAIN, current=current, size=64))))
+    assert "Dark current gives 10 % of the signal of the light" in told
+    assert "Dark current gives" not in " ".join(findings_of(calibrate(transfer(GAIN, size=64))))
 
 
 @pytest.mark.slow
