@@ -29,6 +29,7 @@ from ..inference.search import Optimum
 from ..inference.streams import Advance, chunks
 
 SMALL = 1e-4  # step, as a share of the predictions' spread, for the slope of a residual
+LEAST_WIDENING = 1.02  # factor on the errors from which it is said
 LEAST = 0.01  # least spread of predictions, relative to their size or to the data's spread
 
 
@@ -84,10 +85,12 @@ def widening(
         return Widening(covariance)
     factor = checks.chi_square / max(checks.dof, 1)
     prior = optimum.curvature - optimum.data_information
-    words = [
-        f"Chi-square per degree of freedom is {factor:.4g}; the errors from the data are "
-        f"multiplied by {np.sqrt(factor):.3g}, as if their noise were that much larger."
-    ]
+    words = []
+    if factor > LEAST_WIDENING**2:
+        words.append(
+            f"Chi-square per degree of freedom is {factor:.4g}; the errors from the data are "
+            f"multiplied by {np.sqrt(factor):.3g}, as if their noise were that much larger."
+        )
     if scale_noise(problem.likelihood, 1.0) is None:
         words.append("Bands of new data use the stated noise.")
     widened = np.linalg.inv(optimum.data_information / factor + prior)

@@ -473,6 +473,18 @@ def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
     np.testing.assert_allclose(found.estimates[0].standard_error, 0.001, rtol=1e-3)
 
 
+@pytest.mark.parametrize("scatter", [1.01, 1.05])
+def test_a_widening_below_2_percent_is_not_said(scatter):
+    noise = np.random.default_rng(4).standard_normal(50)
+    noise = scatter * (noise - noise.mean()) / noise.std(ddof=1)
+    problem = Problem(
+        {"a": Parameter(start=0.0)}, lambda a: a * jnp.ones(50), Gaussian(sd=1.0), 1 + noise
+    )
+    found = fit(problem, misfit="inflate", starts=2)
+    np.testing.assert_allclose(found.estimates[0].standard_error, scatter / 50**0.5, rtol=1e-3)
+    assert any("are multiplied by" in one for one in found.findings) == (scatter > 1.02)
+
+
 @pytest.mark.parametrize("dtype", [np.float16, jnp.bfloat16])
 def test_squares_of_half_precision_among_the_inputs_do_not_overflow(dtype):
     codes = np.linspace(0, 800, 26).astype(dtype)
