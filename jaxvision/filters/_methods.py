@@ -28,6 +28,9 @@ Planes = Float[Array, "n c _ _"]
 
 # Largest number of taps in one loop: beyond about 225, XLA's code for the loop is 20 times slower.
 _MOST_TAPS = 128
+# Beyond this number, a program whose taps are written out takes longer to compile than to run, and
+# the taps are added in a loop over blocks.
+_MOST_UNROLLED, _BLOCK = 2 * _MOST_TAPS, 32
 # Relative accuracy of a sum by transforms in float32 and in float64, by the bytes of the dtype.
 _RIGHT = {4: 1e-4, 8: 1e-9}
 _TILE = 256  # pixels along each side of a tile
@@ -302,7 +305,8 @@ def correlate_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) 
     source rows, and only border "extend" pads them too.
     """
     (kh, kw), (n, _, _, c) = kernel.shape[:2], image.shape
-    if border == "extend":
+    long = kh * kw > _MOST_UNROLLED
+    if border == "extend" or (long and border != "none"):
         image = materialise(lambda f: padded(f, (kh, kw), anchor, border), image)
         border = "none"
     elif kw > 1:
@@ -334,6 +338,20 @@ def correlate_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) 
 
     rows = image.reshape(*image.shape[:2], -1)
     every = [(i, j) for i in range(kh) for j in range(kw)]
+    if long:
+        blocks = len(every) // _BLOCK
+
+        def add(number: Array, total: Array) -> Array:
+            terms = []
+            for position in range(_BLOCK):
+                i, j = jnp.divmod(number * _BLOCK + position, kw)
+                seen = lax.dynamic_slice(rows, (0, i, j * c), (n, h, w * c))
+                terms.append(weights[i, j][None, None, :] * seen)
+            return total + sum(terms[1:], start=terms[0])
+
+        total = fori_loop(0, blocks, add, jnp.zeros((n, h, w * c), image.dtype))
+        rest = every[blocks * _BLOCK :]
+        return (total + taps(rows, weights, rest) if rest else total).reshape(n, h, w, c)
     groups = [every[k : k + _MOST_TAPS] for k in range(0, len(every), _MOST_TAPS)]
     total = materialise(partial(taps, chosen=groups[0]), rows, weights)
     for group in groups[1:]:

@@ -191,3 +191,31 @@ def test_channels_first_are_told_once_at_the_line_of_the_call(function):
     assert len(caught) == 1
     assert "shape (3, 37, 38)" in str(caught[0].message)
     assert caught[0].filename == __file__
+
+
+def test_a_gaussian_far_wider_than_its_picture():
+    """SciPy's sums; the program does not grow with the kernel, whose 2401 taps took 27 s."""
+    picture = np.random.default_rng(7).uniform(size=(6, 7))
+    wanted = ndimage.gaussian_filter(picture, 300)
+    np.testing.assert_allclose(jv.filters.gaussian(picture, 300.0), wanted, rtol=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("border", ["mirror", "zero", "wrap", "reflect_101"])
+def test_slopes_and_gaps_of_a_long_kernel(border):
+    """A kernel of 351 taps; the transposed filter, and NaN in its windows alone."""
+    random = np.random.default_rng(7)
+    picture, other = random.uniform(size=(2, 60, 7))
+    kernel = random.uniform(size=(27, 13))
+
+    def filtered(x):
+        return jv.filters.correlate(x, kernel, border=border, method="direct")
+
+    wanted = ndimage.correlate(picture, kernel, mode=SCIPY[border])
+    np.testing.assert_allclose(filtered(picture), wanted, rtol=2e-6)
+    slope = jax.grad(lambda x: (other * filtered(x)).sum())(jnp.asarray(picture))
+    change = random.uniform(size=picture.shape)
+    np.testing.assert_allclose((slope * change).sum(), (other * filtered(change)).sum(), rtol=1e-5)
+    gap = np.isnan(filtered(np.where(np.arange(60)[:, None] == 30, np.nan, picture)))
+    np.testing.assert_array_equal(gap.all(axis=1), abs(np.arange(60) - 30) <= 13)
+    np.testing.assert_array_equal(gap.any(axis=1), abs(np.arange(60) - 30) <= 13)
