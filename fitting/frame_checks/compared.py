@@ -107,14 +107,16 @@ class ComparedLevels:
         signal = abs(float(means.mean() - self.black[level]))
         return (means - means.mean()) / max(signal, self.noise[level], 1e-9)
 
-    def others(self, level: int) -> list[int]:
+    def comparable_levels(self, level: int) -> list[int]:
         """Return the indices of the other levels that have at least two frames."""
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
         """Return the mean of this level, DN, interpolated from the other levels; None if there are
         fewer than two other levels."""
-        others = [i for i in self.others(level) if self.black is None or self.light[i] > 0]
+        others = [
+            i for i in self.comparable_levels(level) if self.black is None or self.light[i] > 0
+        ]
         if len(others) < 2:
             return None
         light = self.light[others]

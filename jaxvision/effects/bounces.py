@@ -125,7 +125,7 @@ class Onward:
         total = self.series(least, self.depth - pieces)
         return cells + total[self.sums.cells.surface]
 
-    def of_surface(self, i: int, sent: np.ndarray) -> np.ndarray:
+    def radiance_from(self, i: int, sent: np.ndarray) -> np.ndarray:
         """Bound the radiance of each surface, (n, bands), by later reflections of light that
         surface i reflects from the lamps, `sent` (bands,)."""
         assert self.depth is not None
@@ -172,10 +172,10 @@ class Onward:
 
     def lobe_radiance(self, i: int) -> np.ndarray:
         """Bound the mean radiance, (bands,), that the lobe of surface i receives from others."""
-        return self.earlier[i] if self.depth is None else self._on_lobes[i]
+        return self.earlier[i] if self.depth is None else self._lobe_bounds[i]
 
     @cached_property
-    def _on_lobes(self) -> np.ndarray:
+    def _lobe_bounds(self) -> np.ndarray:
         return _brightest_first(self.transport.of_lobes, self.earlier)
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:

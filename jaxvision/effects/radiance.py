@@ -239,7 +239,7 @@ def _largest_sent(
     cells, seen = sent_radiance(False), sums.seen[part, None]
     if onward.depth is None:
         return np.max(cells, axis=0, initial=0, where=seen)
-    later = onward.of_surface(i, sent_radiance(True).max(0))
+    later = onward.radiance_from(i, sent_radiance(True).max(0))
     found = np.max(later, axis=0, initial=0, where=onward.shown[:, None])
     return np.maximum(found, np.max(cells + later[i], axis=0, initial=0, where=seen))
 
