@@ -138,9 +138,15 @@ def rig_of(folder: Path) -> FoundRig:
     ]
     if not files:
         raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
-    names = sorted((path.relative_to(folder).as_posix() for path in files), key=_natural)
     for file in files:
         check_utf8(file)
+    own: dict[Path, str] = {}
+    for path in files:
+        name, real = path.relative_to(folder), path.resolve()
+        if real not in own or real == folder.resolve() / name:  # the file itself, not a link to it
+            own[real] = name.as_posix()
+    links = len(files) - len(own)
+    names = sorted(own.values(), key=_natural)
     shape = [name for name in names if _NORMALS.search(name) or _MASK.search(name)]
     counted = any(_COUNTED.search(Path(name).stem) for name in names)
     pictures, copies = _drop_copies([name for name in names if name not in shape])
@@ -156,7 +162,8 @@ def rig_of(folder: Path) -> FoundRig:
             f"{name}: holds floating numbers, and the other images hold whole ones."
             for name in merged
         ]
-        + copies,
+        + copies
+        + ([f"{links} names of images that other names lead to as links."] if links else []),
     )
     lines = _camera(folder, images, found)
     warmth = _warmth(flat + dark)
@@ -437,8 +444,11 @@ def _exposures(images: Sequence[_Image], found: FoundRig) -> list[str]:
     for image in images:
         lines += ["", "[[exposure]]", f"file = {_quote(image.name)}", _seconds(image)]
         lines += [f'group = "{bands[image.name]}"'] if bands[image.name] else []
-    if any(image.exposure is None for image in images):
-        found.missing.append("Exposures are in neither files nor names; give them in seconds.")
+    untimed = [image.name for image in images if image.exposure is None]
+    if untimed:
+        of = "" if len(untimed) == len(images) else f" of {', '.join(untimed[:3])}"
+        of += f" and {len(untimed) - 3} more" if of and len(untimed) > 3 else ""
+        found.missing.append(f"Exposures{of} are in neither files nor names; give them in seconds.")
     for band in dict.fromkeys(bands.values()):
         alone = [name for name, own in bands.items() if own == band]
         if len(alone) < 2 and found.kind == "response":

@@ -396,3 +396,26 @@ def test_a_time_in_the_header_that_differs_from_the_name_is_said(tmp_path):
         photograph(tmp_path / f"{name}.jpg", seconds=0.008)
     told = [one for one in rig_of(tmp_path).missing if "its header says" in one]
     assert told == ["flat_80ms_0.jpg: its header says 0.008 s, which was taken; its name 0.08 s."]
+
+
+def test_links_to_images_are_not_counted_again(tmp_path):
+    """A link to the folder itself, and one beside the file that it leads to."""
+    for n in range(2):
+        write_image(tmp_path / f"IMG_{n}_{n + 1}s.tif", np.full((4, 4), 7, np.uint16))
+    (tmp_path / "run").mkdir()
+    write_image(tmp_path / "run" / "IMG_3_4s.tif", np.full((4, 4), 7, np.uint16))
+    (tmp_path / "a").symlink_to("run")
+    (tmp_path / "latest").symlink_to(".")
+    (tmp_path / "0.tif").symlink_to("IMG_0_1s.tif")
+    found = rig_of(tmp_path)
+    listed = [one["file"] for one in tomllib.loads(found.text)["exposure"]]
+    assert listed == ["IMG_0_1s.tif", "IMG_1_2s.tif", "run/IMG_3_4s.tif"]
+    assert found.left_out == ["5 names of images that other names lead to as links."]
+
+
+def test_only_images_without_a_time_are_named_as_such(tmp_path):
+    for name in ("view_1s.tif", "view_2s.tif", "view.tif"):
+        write_image(tmp_path / name, np.full((4, 4), 7, np.uint16))
+    assert "Exposures of view.tif are in neither files nor names" in " ".join(
+        rig_of(tmp_path).missing
+    )
