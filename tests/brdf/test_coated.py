@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import coat_walk
+from oracles.coat_walk import fresnel
 from scipy import integrate, stats
 
 import jaxvision as jv
@@ -161,13 +163,6 @@ def test_light_is_never_gained_and_goes_both_ways():
         assert (ALBEDO(material, VIEWS) < 1).all()
 
 
-def fresnel(c, eta):
-    """Of light at the cosine c onto a surface of the index eta behind over that before it."""
-    root = np.sqrt(np.maximum(eta**2 - 1 + c * c, 0))
-    s, p = (c - root) / (c + root), (eta**2 * c - root) / (eta**2 * c + root)
-    return np.where(eta**2 - 1 + c * c <= 0, 1.0, (s * s + p * p) / 2)
-
-
 @pytest.mark.parametrize("cos_o", [1.0, 0.3])
 def test_a_random_walk_of_photons(cos_o):
     """Photons through a smooth interface onto a Lambertian body and up again, by NumPy."""
@@ -187,6 +182,17 @@ def test_a_random_walk_of_photons(cos_o):
     coat = jv.Coated(jv.Lambert([rho / np.pi]), jv.Dielectric([eta]), 0.0, optical_depth=[depth])
     got = float(ALBEDO(coat, towards(np.arccos([cos_o])))[0, 0])
     assert abs(got - escaped / count) < 4 * np.sqrt(0.25 / count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("alpha", "most"), [(0.05, 0.006), (0.2, 0.02)])
+def test_a_random_walk_through_facets(alpha, most):
+    """As in pbrt's `coateddiffuse`, but for the light that facets stop, which stays. At a roughness
+    of .5 the walk returns 4 to 7 % less: it stops light on its way out that the coat lets pass."""
+    for rho, cosine in ((0.2, 1.0), (0.7, 0.4)):
+        coat = jv.Coated(jv.Lambert([rho / np.pi]), GLASS, alpha)
+        got = float(ALBEDO(coat, towards(np.arccos([cosine])))[0, 0])
+        assert got == pytest.approx(coat_walk.albedo(cosine, alpha, rho), rel=most)
 
 
 @pytest.mark.slow
