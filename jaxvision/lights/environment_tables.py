@@ -12,6 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from ..core._arguments import warn_caller
 from ..core._numerics import divide, running_sum
 from ..core._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
@@ -19,6 +20,7 @@ from .environment import EnvironmentMap
 # Smallest probability of a pixel with light, in units of the resolution. Errors of the running sums
 # are below 8. For 512 rows of 1024 columns, 3e-3 of the samples are spent on this in float32.
 _LEAST = 16
+_LEAST_ROWS = 16  # of a picture whose shape is looked at
 
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
@@ -38,8 +40,8 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
         The light.
 
     Raises:
-        ValueError: for another shape, a picture without pixels, and values that are negative or not
-            finite.
+        ValueError: for another shape, a picture without pixels, codes of a display picture, and
+            values that are negative or not finite.
 
     Example:
         Rows near the poles get fewer samples, in proportion to their solid angle.
@@ -48,11 +50,22 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
         >>> print(np.asarray(sky.rows).round(3))  # (1 - cos(theta)) / 2 at 0, 45, ... degrees
         [0.    0.146 0.5   0.854 1.   ]
     """
+    if getattr(radiance, "dtype", None) in (np.uint8, np.uint16):
+        raise ValueError(
+            f"environment_map's radiance is in W m^-2 sr^-1, got {radiance.dtype} codes, which are "
+            "no radiance; decode them, as by jaxvision.srgb_decode(codes / 255), and scale them."
+        )
     picture = as_float(radiance)
     check_shape("environment_map's radiance", picture, ("h", "w", "bands"))
     if picture.size == 0:
         raise ValueError(
             f"environment_map's radiance must have pixels and bands, got {picture.shape}."
+        )
+    height, width = picture.shape[:2]
+    if height >= _LEAST_ROWS and width in (height, height * 3 // 4, height * 4 // 3):
+        warn_caller(
+            f"environment_map's radiance has {height} rows of {width}, as a light probe or a cross "
+            "of a cube has; a latitude-longitude picture is twice as wide as high."
         )
     check_range("environment_map's radiance", picture, 0)
     rows, columns = _tables(jax.lax.stop_gradient(picture))

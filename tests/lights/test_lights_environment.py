@@ -255,6 +255,16 @@ def test_wrong_shapes_are_named():
         environment_map(PICTURE, rotation=np.ones((2, 3)))
     with pytest.raises(ValueError, match=r"must have pixels and bands, got \(0, 8, 3\)"):
         environment_map(np.ones((0, 8, 3)))
+    with pytest.raises(ValueError, match="uint8 codes, which are no radiance"):
+        environment_map(np.full((4, 8, 3), 200, np.uint8))
+
+
+@pytest.mark.parametrize("shape", [(16, 16, 1), (24, 18, 1), (18, 24, 1)])
+def test_pictures_in_another_projection_are_named(shape):
+    """A light probe is square, the cross of a cube 3 by 4 or 4 by 3."""
+    with pytest.warns(UserWarning, match="as a light probe or a cross of a cube has"):
+        environment_map(np.ones(shape))
+    environment_map(np.ones((16, 30, 1)))
 
 
 @pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
