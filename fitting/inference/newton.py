@@ -29,8 +29,8 @@ EASIER, HARDER = 0.1, 8.0  # factors on the damping after a success and after a 
 MAX_DAMPING = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
 CAREFUL = 0.1  # the first damping from a start that may lie anywhere
-SAME_BLUR = 4  # the same, in units of `blur`
 SAME_COST = 45  # increase of the cost, in units of rounding, that still counts as no increase
+SAME_BLUR = 4  # the same increase in units of `blur`
 
 
 class NewtonSolution(eqx.Module):

@@ -27,12 +27,12 @@ _ON_ONE_CORE = ("0.12.",)  # versions of jaxlib
 def scan(
     step: Callable[[Any, Any], tuple[Any, Any]],
     start: Any,
-    items: Any = None,
-    length: int | None = None,
+    items: Any,
     *,
+    length: int | None = None,
     reverse: bool = False,
 ) -> tuple[Any, Any]:
-    """Return `jax.lax.scan(step, start, items, length, reverse)`."""
+    """Return `jax.lax.scan(step, start, items, length, reverse)`, in the units of the step."""
     if not _is_needed():
         return jax.lax.scan(step, start, items, length, reverse)
     count = len(jax.tree.leaves(items)[0]) if length is None else length
@@ -48,7 +48,7 @@ def scan(
 
 
 def map_(function: Callable[[Any], Any], items: Any, *, batch_size: int | None = None) -> Any:
-    """Return `jax.lax.map(function, items, batch_size=batch_size)`."""
+    """Return `jax.lax.map(function, items, batch_size=batch_size)`, in the unit of the function."""
     if not _is_needed():
         return jax.lax.map(function, items, batch_size=batch_size)
     numbered = jnp.arange(len(jax.tree.leaves(items)[0]), dtype=jnp.int32), items
@@ -58,7 +58,7 @@ def map_(function: Callable[[Any], Any], items: Any, *, batch_size: int | None =
 def fori_loop(
     first: int | Array, end: int | Array, step: Callable[[Array, Carry], Carry], start: Carry
 ) -> Carry:
-    """Return `jax.lax.fori_loop(first, end, step, start)`."""
+    """Return `jax.lax.fori_loop(first, end, step, start)`, in the unit of the step."""
     if not _is_needed():
         return jax.lax.fori_loop(first, end, step, start)
     return jax.lax.fori_loop(first, end, lambda k, carry: step(k, _kept(k, carry)), start)
@@ -67,7 +67,7 @@ def fori_loop(
 def while_loop(
     goes_on: Callable[[Carry], Array], step: Callable[[Carry], Carry], start: Carry
 ) -> Carry:
-    """Return `jax.lax.while_loop(goes_on, step, start)`."""
+    """Return `jax.lax.while_loop(goes_on, step, start)`, in the unit of the step."""
     if not _is_needed():
         return jax.lax.while_loop(goes_on, step, start)
 

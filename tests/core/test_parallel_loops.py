@@ -19,7 +19,7 @@ def _map(loops):
 PAIRS = {
     "scan": lambda loops, x: loops.scan(decay, x[0], x),
     "scan from the end": lambda loops, x: loops.scan(decay, x[0], x, reverse=True),
-    "scan of a length": lambda loops, x: loops.scan(lambda c, _: (c + 1, 2 * c), x, None, 3),
+    "scan of a length": lambda loops, x: loops.scan(lambda c, _: (c + 1, 2 * c), x, None, length=3),
     "map": lambda loops, x: _map(loops)(lambda row: row / 3, x),
     "map in batches": lambda loops, x: _map(loops)(lambda row: row / 3, x, batch_size=2),
     "counted": lambda loops, x: loops.fori_loop(0, 4, lambda k, c: c * k - x, x),
