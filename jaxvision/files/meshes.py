@@ -43,6 +43,7 @@ Affine = Sequence[Sequence[float | int]] | np.ndarray
 _TURNED, _MOVED = 1e-2, 5e-4
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers that are not finite are found below
 def read_mesh(
     path: str | os.PathLike[str],
     *,
@@ -60,7 +61,7 @@ def read_mesh(
 
     Vertices are scaled, then rotated, then moved, or mapped by `matrix`. Triangles whose area is 0
     in `dtype`, which no ray would hit, are dropped; a warning states their number. Vertices with
-    coordinates that are not finite are not removed; `geometry.problems` reports them. A warning is
+    coordinates that are not finite are not removed; a warning states their number. A warning is
     given if the mesh is so far from the origin that rounding to `dtype` changes its triangles by
     more than 1 % on average, or moves its vertices by more than 5e-4 of its size.
 
@@ -108,8 +109,12 @@ def read_mesh(
     given = loaded.metadata.get("normals")
     loaded.apply_transform(world)
     exact = np.asarray(loaded.vertices, float)
-    with np.errstate(over="ignore"):  # `geometry.problems` reports numbers that are not finite
-        vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
+    vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
+    if lost := int((~np.isfinite(vertices)).any(axis=1).sum()):
+        warn(
+            f"{file}: {lost} of its {len(vertices)} vertices are not finite in {vertices.dtype}: "
+            "no ray hits their triangles; correct the file."
+        )
     faces = _nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
@@ -184,7 +189,8 @@ def _nonempty_triangles(
             f"a triangle names vertex {wrong}, counted from 0, where there are {len(vertices)}",
         )
     flat = faces_without_area(vertices, faces)
-    _check_rounding(file, vertices, exact, faces)
+    if np.isfinite(vertices).all():
+        _check_rounding(file, vertices, exact, faces)
     if flat.all():
         raise unlike(file, f"none of its {len(faces)} triangles has area")
     if flat.any():

@@ -116,6 +116,17 @@ def test_points_of_four_coordinates_in_off_are_refused(tmp_path, head):
         read_mesh(tmp_path / "a.off")
 
 
+@pytest.mark.parametrize("wrong", ["nan", "inf", "1e300"])
+def test_vertices_that_are_not_finite_are_counted(tmp_path, wrong):
+    """One sentence, and none of NumPy's."""
+    text = f"v 0 0 0\nv {wrong} 0 0\nv 0 1 0\nv 1 0 0\nf 1 2 3\nf 1 4 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        read_mesh(tmp_path / "a.obj", dtype="float32")
+    assert ["1 of its 4 vertices are not finite" in str(w.message) for w in said] == [True]
+
+
 def test_bytes_after_the_triangles_of_an_stl_are_named(tmp_path):
     data = trimesh.creation.box(extents=(1, 2, 3)).export(file_type="stl")
     (tmp_path / "a.stl").write_bytes(data + b"made by")
