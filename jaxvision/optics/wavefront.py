@@ -140,7 +140,7 @@ def wavefront_kernel(
     x, y, weight = _chords(CircularAperture() if aperture is None else aperture, samples, dtype)
     error = zernike(x[..., None], y, count=len(coefficients)) @ coefficients
     if all(is_known(z) for z in (error, x, wavelength, f_number, pixel_pitch)):
-        parts = (np.asarray(z, float) for z in (x, y, error))
+        parts = np.asarray(x, float), np.asarray(y, float), np.asarray(error, float)
         _check_nodes(size, order, *parts, wavelength, f_number, pixel_pitch)
     nodes, share = np.polynomial.legendre.leggauss(order)
     places = jnp.asarray((np.arange(size)[:, None] - size // 2 + nodes / 2).ravel(), dtype)
@@ -184,9 +184,9 @@ def _chords(
     if isinstance(aperture, CircularAperture | AnnularAperture):
         # chords across x = sin t, from -cos t to cos t
         t = np.pi / 2 * nodes
-        chord = np.cos(t)[:, None]
-        x, y = np.sin(t)[None], (chord * nodes)[None]
-        weight = (np.pi / 2 * chord * chord * weights[:, None] * weights)[None]
+        half = np.cos(t)[:, None]
+        x, y = np.sin(t)[None], (half * nodes)[None]
+        weight = (np.pi / 2 * half * half * weights[:, None] * weights)[None]
         x, y, weight = (jnp.asarray(z, dtype) for z in (x, y, weight))
         if isinstance(aperture, CircularAperture):
             return x, y, weight
