@@ -31,6 +31,7 @@ FEWEST_PREDICTING = 3  # exposures: leaving one out must leave two
 FEWEST_EXPOSURES = 5  # of a jackknife: with fewer, the rest determines another part of the curve
 FALSE_ALARM_PROBABILITY = 0.05  # probability of a false finding of excess variance
 FAR = 12.0  # of the median error of a prediction, from which a pixel shows something else
+GROUPS = 20  # of pixels of similar brightness, each with its own usual error
 LEAST_USUAL = 0.5  # DN, of the median error
 FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out exposure
 
@@ -186,6 +187,18 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
 
 
+def _usual_errors(
+    missed: Float[np.ndarray, " pixels"], predicted: Float[np.ndarray, " pixels"]
+) -> Float[np.ndarray, " pixels"]:
+    """Return the median error of the pixels that are predicted as bright as each pixel, and at
+    least that of all, DN. Shot noise makes bright pixels noisier, and those that clip elsewhere are
+    predicted from dark exposures."""
+    usual = np.empty(len(missed))
+    for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS):
+        usual[group] = np.median(missed[group])
+    return np.maximum(usual, np.median(missed))
+
+
 def _prediction_error(
     codes: np.ndarray,
     log_t: np.ndarray,
@@ -210,5 +223,5 @@ def _prediction_error(
     if np.count_nonzero(judged) < FEWEST_PREDICTED:
         return float("nan"), float("nan")
     missed = np.abs(predicted - codes[j])[judged]
-    usual = max(float(np.median(missed)), LEAST_USUAL)
+    usual = np.maximum(_usual_errors(missed, predicted[judged]), LEAST_USUAL)
     return float(np.sqrt(np.mean(missed**2))), float(np.mean(missed > FAR * usual))

@@ -902,3 +902,18 @@ def test_something_that_moves_in_a_bracket_is_named():
         said = [one for one in found if "something moved" in one]
         assert len(said) == (named is not None)
         assert all("The radiance map is wrong there" in one for one in said)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_shot_noise_of_a_linear_stack_is_no_motion(moved):
+    """Bright pixels are 2 DN noisy, most are dark; and the same with a body in one image."""
+    rng, (row, column) = np.random.default_rng(0), np.mgrid[:80, :120]
+    patches = np.kron(np.random.default_rng(1).standard_normal((8, 12)), np.ones((10, 10)))
+    light = 300 * np.exp(np.log(300) * column / 119 + 0.5 * patches)
+    times, images = [1 / 128, 1 / 32, 1 / 8, 1 / 2, 2.0], []
+    for i, seconds in enumerate(times):
+        body = moved & (i == 2) & (np.abs(row - 40) < 8) & (np.abs(column - 60) < 8)
+        electrons = rng.poisson(np.where(body, 5 * light, light) * seconds)
+        images.append(np.clip(np.round(electrons / 30), 0, 255).astype(np.uint8))
+    told = calibrate(from_stack(images, times, camera=Camera(bits=8))).section.findings
+    assert any("something moved" in one for one in told) == moved
