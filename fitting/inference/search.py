@@ -56,7 +56,7 @@ from .candidates import numbers_of
 from .compiled import compiled_briefly
 from .diagnostics import UNDETERMINED, listed
 from .given import require_whole
-from .newton import minimise_many, second_derivatives
+from .newton import SAME_COST, minimise_many, second_derivatives
 from .on_host import to_host
 from .parameters import (
     FLAT_QUANTILES,
@@ -303,7 +303,9 @@ def search(
         if not found.converged[0]:
             vector = jnp.asarray(found.vector[0], jnp.result_type(float))
             blur = float(rounding_of_digits(vector, problem)[0])
-            found = _mode(found.vector, local, min(blur, COARSEST))
+            allowed = SAME_COST * _tolerances()["digit"] * max(abs(float(found.cost[0])), 1.0)
+            if blur > allowed:  # every search allows for the rounding of sums
+                found = _mode(found.vector, local, min(blur, COARSEST))
         found = jax.tree.map(lambda x: x[0], found)
     else:
         found = jax.tree.map(lambda x: x[best], modes)
