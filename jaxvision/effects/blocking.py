@@ -182,7 +182,7 @@ def may_block(
         if around.any():
             inside = _are_inside(surface, bodies, relative, reach) & bounded
             inside[i] = True
-            may[np.ix_(np.array(lamps)[around], np.flatnonzero(inside), [i])] = False
+            may[np.ix_(np.array(lamps)[around], np.flatnonzero(inside), np.array([i]))] = False
     _exclude_disjoint(may, sources, bodies, bounded, reach)
     return may
 

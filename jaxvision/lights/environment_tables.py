@@ -50,9 +50,10 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
         >>> print(np.asarray(sky.rows).round(3))  # (1 - cos(theta)) / 2 at 0, 45, ... degrees
         [0.    0.146 0.5   0.854 1.   ]
     """
-    if getattr(radiance, "dtype", None) in (np.uint8, np.uint16):
+    dtype = getattr(radiance, "dtype", None)
+    if dtype in (np.uint8, np.uint16):
         raise ValueError(
-            f"environment_map's radiance is in W m^-2 sr^-1, got {radiance.dtype} codes, which are "
+            f"environment_map's radiance is in W m^-2 sr^-1, got {dtype} codes, which are "
             "no radiance; decode them, as by jaxvision.srgb_decode(codes / 255), and scale them."
         )
     picture = as_float(radiance)
