@@ -458,7 +458,7 @@ def moving_edges(
         for part, _ in parts:
             found = found + part
         if samples is not None and parts:
-            contrast = sum((own for _, own in parts[1:]), parts[0][1])
+            contrast = jnp.sum(jnp.stack([own for _, own in parts]), axis=0)
             found = found + _sample_edge_pixels(rebuild, moving, motion, pixels, samples, contrast)
         return zeros, found
 
