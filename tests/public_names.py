@@ -27,6 +27,7 @@ EAGER = {
     "jaxvision.plots.summary",
     "jaxvision.errors",
     "jaxvision.core.plain_arrays",
+    "jaxvision.core.parallel_loops",
     "jaxvision.core.lazy_names",
     "jaxvision.core.memory",
     "jaxvision.programs",

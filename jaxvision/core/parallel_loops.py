@@ -32,7 +32,7 @@ def scan(
     length: int | None = None,
     reverse: bool = False,
 ) -> tuple[Any, Any]:
-    """Return `jax.lax.scan(step, start, items, length, reverse)`, in the units of the step."""
+    """Return `jax.lax.scan(step, start, items, length, reverse)`."""
     if not _is_needed():
         return jax.lax.scan(step, start, items, length, reverse)
     count = len(jax.tree.leaves(items)[0]) if length is None else length
@@ -40,40 +40,40 @@ def scan(
     def numbered(carry: Any, item: tuple[Array, Any]) -> tuple[Any, Any]:
         number, own = item
         if any(map(_is_numeric, jax.tree.leaves(carry))):
-            return step(_kept(number, carry), own)
-        return step(carry, _kept(number, own))
+            return step(_mark(number, carry), own)
+        return step(carry, _mark(number, own))
 
     items = jnp.arange(count, dtype=jnp.int32), items
     return jax.lax.scan(numbered, start, items, reverse=reverse)
 
 
 def map_(function: Callable[[Any], Any], items: Any, *, batch_size: int | None = None) -> Any:
-    """Return `jax.lax.map(function, items, batch_size=batch_size)`, in the unit of the function."""
+    """Return `jax.lax.map(function, items, batch_size=batch_size)`."""
     if not _is_needed():
         return jax.lax.map(function, items, batch_size=batch_size)
     numbered = jnp.arange(len(jax.tree.leaves(items)[0]), dtype=jnp.int32), items
-    return jax.lax.map(lambda item: function(_kept(*item)), numbered, batch_size=batch_size)
+    return jax.lax.map(lambda item: function(_mark(*item)), numbered, batch_size=batch_size)
 
 
 def fori_loop(
     first: int | Array, end: int | Array, step: Callable[[Array, Carry], Carry], start: Carry
 ) -> Carry:
-    """Return `jax.lax.fori_loop(first, end, step, start)`, in the unit of the step."""
+    """Return `jax.lax.fori_loop(first, end, step, start)`."""
     if not _is_needed():
         return jax.lax.fori_loop(first, end, step, start)
-    return jax.lax.fori_loop(first, end, lambda k, carry: step(k, _kept(k, carry)), start)
+    return jax.lax.fori_loop(first, end, lambda k, carry: step(k, _mark(k, carry)), start)
 
 
 def while_loop(
     goes_on: Callable[[Carry], Array], step: Callable[[Carry], Carry], start: Carry
 ) -> Carry:
-    """Return `jax.lax.while_loop(goes_on, step, start)`, in the unit of the step."""
+    """Return `jax.lax.while_loop(goes_on, step, start)`."""
     if not _is_needed():
         return jax.lax.while_loop(goes_on, step, start)
 
     def numbered(state: tuple[Array, Carry]) -> tuple[Array, Carry]:
         number, carry = state
-        return number + 1, step(_kept(number, carry))
+        return number + 1, step(_mark(number, carry))
 
     zero = jnp.zeros((), jnp.int32)
     return jax.lax.while_loop(lambda state: goes_on(state[1]), numbered, (zero, start))[1]
@@ -88,7 +88,7 @@ def _is_needed() -> bool:
     return _runs_on_one_core() and targets_cpu()
 
 
-def _kept(number: Array, values: Any) -> Any:
+def _mark(number: Array, values: Any) -> Any:
     """Return the values, of which one array is kept only if two equal numbers are equal after
     sorting. XLA does not know that they are."""
     leaves, tree = jax.tree.flatten(values)
