@@ -219,7 +219,8 @@ def fit(
         failures = []
     several = [] if why or np.isinf(drawn.shifted) else search_findings(optimum, drawn)
     failures += chain_failures(drawn) + several
-    digits = few_digits(problem, optimum) if failures or checks.remarks else []
+    lost = set(failures) - set(checks.faults)  # of the search
+    digits = few_digits(problem, optimum) if lost else []
     if digits:
         failures = [*digits, *(one for one in failures if one in checks.faults)]
         optimum = replace(optimum, unseen={})  # differences are as inaccurate as the cost
