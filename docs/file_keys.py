@@ -1,9 +1,15 @@
-"""The tables of keys for the pages on file formats, generated from the schemas that read the
-files."""
+"""The tables of keys for the pages on file formats, generated from the schemas that read the files,
+and the table of former names.
+
+    python docs/file_keys.py
+
+writes the tables of keys without building the site.
+"""
 
 import inspect
 import re
 from dataclasses import MISSING
+from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
@@ -11,6 +17,7 @@ from site_text import write
 
 from fitting.rig import Camera as RigCamera
 from fitting.rig import Dark, Exposure, Flat, Geometry, Light, SphereGeometry
+from jaxvision.core._moved import MOVED, RENAMED
 from jaxvision.core._types import members_of
 from jaxvision.files.records import Key, keys_of
 from jaxvision.files.scenes import tables as scene_tables
@@ -68,6 +75,18 @@ def key_pages(folder):
     """Write the tables of keys that `write_a_scene_file.md` and `describe_a_rig.md` include."""
     write(folder / "_scene_keys.md", tables(SCENE))
     write(folder / "_rig_keys.md", tables(RIG))
+
+
+def former_names(folder):
+    """Write the table of former names that the changelog's page includes."""
+    functions = {old: f"{old.rpartition('.')[0]}.{new}" for old, new in RENAMED.items()}
+    rows = [
+        f"| `{old}` | `{new}` |"
+        for old, new in sorted((MOVED | functions).items())
+        if "._" not in old
+    ]
+    text = "\n".join(["| former name | name |", "| --- | --- |", *rows, ""])
+    write(folder / "_former_names.md", text)
 
 
 def tables(parts):
@@ -159,3 +178,7 @@ def words_of(hint) -> tuple[str, ...]:
 assert {"camera", "surface", "material", "light", "ambient", "render"} <= set(
     SceneEntry.model_fields
 )
+
+
+if __name__ == "__main__":
+    key_pages(Path(__file__).parent / "how-to")

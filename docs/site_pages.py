@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from docutils import nodes
-from file_keys import key_pages
+from file_keys import former_names, key_pages
 from reference_pages import reference_pages
 from site_text import escaped, plain_type, write
 from sphinx.domains.python import PyXRefRole
@@ -222,6 +222,7 @@ def setup(app):
     notebook_pages(HERE / "notebooks")
     gallery_pages(HERE / "gallery")
     key_pages(HERE / "how-to")
+    former_names(HERE / "how-to")
     pages = reference_pages(HERE / "reference")
     places = {id(value): name for page in pages.values() for name, value in page.items()}
 

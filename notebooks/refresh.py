@@ -2,9 +2,9 @@
 
     python notebooks/refresh.py [--shrink-only] [NOTEBOOK ...]
 
-Without names all notebooks are executed, one after the other. The outputs that a notebook stores
-take at most 300 kB together. A plot becomes a PNG with a palette, another picture a JPEG. It needs
-the `notebooks` extra.
+Without names the script executes all notebooks, one after the other. It stores plots as PNG with a
+palette and other pictures as JPEG, so that the outputs of each notebook take at most 300 kB. It
+needs the `notebooks` extra.
 """
 
 import argparse
@@ -25,7 +25,8 @@ PALETTE_ERROR = 1.5  # greatest RMS error of a palette, codes of 255
 
 
 def with_palette(picture: Image.Image) -> bytes | None:
-    """The picture as a PNG of few colours, or None where they change it or a JPEG is smaller."""
+    """Return the picture as a PNG with 64 or 256 colours. Return None if the palette changes the
+    picture visibly, or if a JPEG is smaller."""
     for colours in (64, 256):
         indexed = picture.quantize(colours, dither=Image.Dither.NONE)
         difference = ImageStat.Stat(ImageChops.difference(picture, indexed.convert("RGB")))
@@ -38,6 +39,7 @@ def with_palette(picture: Image.Image) -> bytes | None:
 
 
 def as_jpeg(picture: Image.Image, quality: int, widest: int) -> bytes:
+    """Return the picture as a JPEG of the given quality and of at most `widest` pixels across."""
     narrow = picture.copy()
     narrow.thumbnail((widest, picture.height), Image.Resampling.LANCZOS)
     found = io.BytesIO()
@@ -46,7 +48,7 @@ def as_jpeg(picture: Image.Image, quality: int, widest: int) -> bytes:
 
 
 def stored(data: bytes) -> dict[str, str]:
-    """The bytes of a picture as an entry of a notebook's output."""
+    """Return the bytes of a picture as an entry of a notebook's output, {MIME type: base64}."""
     kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
     return {kind: base64.b64encode(data).decode()}
 

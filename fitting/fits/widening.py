@@ -74,8 +74,8 @@ def widening(
     """Return the covariance that includes the misfit of the model.
 
     Errors that groups of data share explain a misfit if the residuals agree with the stated noise
-    after subtracting an offset and a gain error from each group. With `inflate` these remaining
-    residuals may have any size."""
+    after subtracting an offset and a gain error from each group. With `inflate` they explain it
+    even if these remaining residuals are larger than the stated noise."""
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}

@@ -77,8 +77,9 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
 
 
 def specular(material: Glass, w: Vec) -> Specular:
-    """Return the directions in which a ray continues that came from the unit local direction `w`.
-    The ray comes from outside the body if `w` is above the surface, else from inside. The shares of
+    """Return the two directions in which a ray continues at the surface: reflected and refracted.
+    The unit local direction `w` points to where the ray came from: outside the body if `w` is above
+    the surface, else inside. The shares of
     the flux and `eta` have no unit. In total reflection the reflectance is 1, and `refracted` is a
     direction along the surface."""
     eta = jnp.where(w.z > 0, material.index, 1 / material.index)

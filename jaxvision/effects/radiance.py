@@ -351,7 +351,8 @@ def varied_by(sums: Sums, onward: Onward, i: int, place: str) -> Row:
 
 
 def _is_proportional(material: Ends[Any], field: str) -> bool:
-    """Return whether the suprema of a material are proportional to a field."""
+    """Return whether the upper bound on the light that a material reflects, by its body or by its
+    lobe, doubles if a field doubles."""
     twice = Ends(*(replace(end, **{field: 2 * getattr(end, field)}) for end in material))
     one, other = reflection_of(material), reflection_of(twice)
     if field == "diffuse":

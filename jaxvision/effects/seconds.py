@@ -95,7 +95,8 @@ def draft_without(party: Sequence[Row], start: Draft) -> Draft | None:
 
 
 class _Calls:
-    """Makes the programs of a `Draft`, timed on the light of the picture with all effects."""
+    """The functions of a `Draft` to time, one for each part of a picture. Each function gets the
+    same input for all drafts: what the parts before it return with all effects present."""
 
     def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
         self.scene, self.whole = scene, whole

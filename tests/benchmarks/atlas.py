@@ -244,7 +244,8 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         "- **Plots**: labels are settings. The dashed line is the error of the reference. Points",
         "  with less than three times this error are hollow. Points on the lower axis (`: 0`)",
         "  equal the reference. Triangles are other programs.",
-        "- **Not covered**: the figures are for one problem each, and differ for yours.",
+        "- **Not covered**: other problems than these, one for each approximation. Error and time",
+        "  depend on the scene, the picture's size and the machine. The figures differ for yours.",
         "  `jaxvision accuracy SCENE` and `jaxvision-fit accuracy RIG` measure your own.",
         "",
     ]
