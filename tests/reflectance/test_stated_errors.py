@@ -323,3 +323,5 @@ def test_light_in_shadows_widens_by_the_effect_of_as_much_on_all_pixels(fitted):
     assert abs(moved[0]) < 1.96 * wide[0]
     assert not len(plain.stated.common)
     assert not any(error.name == "black_sd" for error in plain.stated.left_out)
+    stated = fit(black=observation.black - 20.0, black_sd=10.0)  # which explains the light
+    np.testing.assert_allclose(stated.stated.common, wrong.stated.common / 2, rtol=1e-3)

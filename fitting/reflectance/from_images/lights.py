@@ -62,6 +62,7 @@ from .signal import Form, Matrix, Vector
 SHADOWED = -0.05  # n.l of a safe shadow
 FEWEST_SHADOWED = 100  # pixels
 SIGNIFICANT = 4.0  # standard errors from 0 of light in shadows that counts
+EXPLAINED = 3.0  # stated errors of the black level that explain light in shadows
 STEP = 0.5  # step of a slope to either side, standard deviations
 LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
 MOST_TURNS = 10  # most updates of the lights' rotations
@@ -316,6 +317,8 @@ def stated_errors(
     shared = {}
     glow = light_in_shadows(observation, view.channel)
     glow = 0.0 if glow is None or samples.form.ambient else glow
+    if abs(glow) < EXPLAINED * observation.black_sd:
+        glow = 0.0
     if observation.black_sd or glow:
         black = np.hypot(observation.black_sd, glow)
         shared["black_sd"] = np.full((1, len(samples.dn)), black)
