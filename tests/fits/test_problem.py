@@ -426,8 +426,9 @@ def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below
         Gaussian(sd=error * np.sqrt(count)),
         data,
     )
-    exact = scipy.stats.truncnorm(a=below, b=np.inf, loc=-below * error, scale=error).ppf(0.975)
-    _, upper = fit(problem).estimates[0].interval_95
+    exact = scipy.stats.truncnorm(a=below, b=np.inf, loc=-below * error, scale=error).ppf(0.95)
+    lower, upper = fit(problem).estimates[0].interval_95  # begins at the bound
+    assert lower == 0
     np.testing.assert_allclose(upper, exact, rtol=0.03)
 
 
