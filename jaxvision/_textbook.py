@@ -6,6 +6,7 @@ A target without a dot is a public name of `jaxvision`, a field of a record, an 
 of a file.
 """
 
+import difflib
 import re
 from collections.abc import Iterable
 
@@ -17,15 +18,25 @@ _WORDS = {
     "light_field": "LightFieldLight render_light_field",
     "sky skydome ibl": "environment_map",
     "black_body planck": "spectra.blackbody",
-    "L_a ambient_radiance": "AmbientLight radiance",
+    "L_a ambient_radiance ambient_reflection": "AmbientLight ambient radiance",
+    "I": "intensity",
+    "E": "irradiance",
+    "L": "radiance",
+    "solid_angle": "sample_directions hemisphere_radiance",
+    "umbra penumbra half_shadow": "visibility RectangleLight",
+    "spectral_radiance": "outgoing_radiance spectra.blackbody",
     # reflectance
     "v_i light_direction": "wi",
     "v_r view_direction viewer": "wo",
     "k_d kd rho base_colour": "diffuse albedo",
     "albedo": "diffuse",
-    "radiant_intensity": "PointLight lights.relative_intensity",
-    "luminous_flux radiant_flux": "lights.flux",
+    "radiant_intensity luminous_intensity candela": "PointLight lights.relative_intensity",
+    "luminous_flux radiant_flux lumen": "lights.flux",
+    "illuminance lux": "irradiance files.read_luminaire",
     "radiant_exitance exitance": "transport.radiosity.radiosity",
+    "brdf reflectance_function bidirectional_reflectance": (
+        "brdf.evaluate brdf.families Lambert PhongBRDF TorranceSparrow"
+    ),
     "bsdf btdf transmission": "brdf.evaluate Glass",
     "fresnel fresnel_equations": "Dielectric Conductor Schlick",
     "snell snells_law refraction": "Glass eta",
@@ -37,9 +48,10 @@ _WORDS = {
     "alpha_roughness": "roughness",
     "alpha": "roughness matting.composite",
     "lambertian diffuse_surface": "Lambert lambert_shading",
-    "foreshortening": "lambert_shading irradiance",
+    "foreshortening foreshortened_area": "lambert_shading irradiance",
     "specular_direction reflection_direction v_s": "mirror_direction",
     "gaussian_torrance_sparrow": "GaussianLobe",
+    "specular_lobe": "phong_lobe gaussian_lobe",
     "microfacet cook_torrance ggx": "TorranceSparrow",
     "blinn_phong half_vector": "Blinn BlinnBRDF",
     "dichromatic_model shafer": "Dichromatic separate",
@@ -61,6 +73,7 @@ _WORDS = {
     "f_stop fstop aperture_number n_stop": "f_number",
     "aperture": "f_number CircularAperture PolygonalAperture",
     "dof": "depth_of_field",
+    "depth_of_focus": "image_distance circle_of_confusion",
     "fov": "field_of_view",
     "blur_disc coc": "circle_of_confusion",
     "vignetting vignette cos4 falloff": "sensor_irradiance Rim point_ops.vignette",
@@ -69,27 +82,32 @@ _WORDS = {
     "mtf otf modulation_transfer_function": "resolution.from_edge optics.diffraction_mtf",
     "sfr slanted_edge sharpness": "resolution.from_edge",
     "bokeh": "gather_defocus CircularAperture PolygonalAperture",
+    "homography": "project filters.warp",
     "intrinsics extrinsics": "optics.opencv_view",
     "aberration coma astigmatism spherical_aberration strehl": "Wavefront optics.zernike",
     # sensor
-    "ccd cmos image_sensor": "Sensor read_camera",
+    "ccd cmos image_sensor charge_coupled_device": "Sensor read_camera",
     "shutter exposure shutter_time shutter_speed": "exposure_time",
     "motion_blur": "capture RollingShutter",
     "chip_size sensor_size": "optics.chip_size",
     "pixel_size sampling_pitch pitch": "pixel_pitch",
-    "fill_factor aliasing antialiasing": "PixelAperture sensor.aperture_mtf",
+    "fill_factor aliasing antialiasing moire": "PixelAperture sensor.aperture_mtf",
+    "sampling": "PixelAperture PixelSamples",
     "iso analog_gain analogue_gain": "sensor.set_iso gain",
     "black_level": "offset",
-    "qe": "quantum_efficiency",
+    "qe quantum_yield": "quantum_efficiency",
     "photon_noise poisson_noise": "shot_noise PoissonShotNoise",
     "fixed_pattern_noise fpn": "dsnu prnu pattern_variance",
     "snr": "sensor.signal_to_noise",
+    "dynamic_range": "sensor.signal_to_noise noise.calibrate",
+    "gain_error": "prnu",
     "adc quantise quantization bit_depth": "bits digitise",
     "full_well_capacity anti_blooming": "full_well blooming",
     "bucket_brigade cte": "ChargeTransfer charge_transfer",
     "thermal_noise dark_signal": "dark_current",
+    "dark_noise": "read_noise dark_current",
     "flat_field flat_fielding dark_frame": "correct",
-    "dead_pixel defect": "HotPixels",
+    "dead_pixel defect salt_and_pepper impulse_noise": "HotPixels dead_pixels",
     "photon_transfer emva usable_bits": "noise.from_frames noise.calibrate",
     "emva_1288_release_4 dsnu_of_rows spectrogram defect_pixels": (
         "noise.read_stacks noise.release_4_sheet"
@@ -111,13 +129,14 @@ _WORDS = {
     "grayscale to_gray rgb2gray grey luma": "colour_spaces.luminance",
     "color_space": "colour_spaces",
     "cie_xyz xyz": "colour_spaces.rgb_to_xyz",
+    "metamerism metamer": "colour_spaces.observer spectra.rgb_to_reflectance",
     "lab cielab": "colour_spaces.xyz_to_lab",
     "hsv": "colour_spaces.rgb_to_hsv",
     "color_transform": "colour_spaces.apply_matrix",
     "compositing porter_duff alpha_blending": "matting.over matting.composite",
     "matte": "Lambert matting.closed_form_matte matting.blue_screen_matte",
     "alpha_matte keying": "matting.closed_form_matte matting.blue_screen_matte",
-    "chroma_key blue_screen green_screen": "matting.blue_screen_matte",
+    "chroma_key chroma_keying blue_screen green_screen": "matting.blue_screen_matte",
     "alpha_channel premultiplied_alpha": "matting.premultiply matting.composite",
     "trimap": "matting.closed_form_matte",
     "hist": "histogram.exact_histogram",
@@ -130,6 +149,7 @@ _WORDS = {
     # filters
     "convolution convolve2d conv": "filters.convolve",
     "correlation cross_correlation filter2d": "filters.correlate",
+    "fourier fft transfer_function": "optics.diffraction_mtf filters.impulse_response",
     "impulse delta": "filters.impulse_response",
     "padding pad pad_mode boundary": "border filters.pad",
     "border_mode": "border filters.pad",
@@ -150,6 +170,7 @@ _WORDS = {
     # estimation
     "least_squares curve_fit maximum_likelihood": "fit",
 }
+ABSENT = frozenset({"flare", "glare", "lensflare", "veilingglare", "polarisation", "fluorescence"})
 _OF_FITTING = ("noise", "reflectance", "resolution", "response")
 _SPELT = {"color": "colour", "gray": "grey", "center": "centre", "analog": "analogue"}
 
@@ -169,10 +190,28 @@ TARGETS = {
 }
 
 
+def is_absent(word: str) -> bool:
+    """Return whether a textbook's word names an effect that the library does not model."""
+    return folded(word) in ABSENT
+
+
 def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
     """Return those names in `known` that a textbook's word stands for; often there are none."""
     names = set(known)
     return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
+
+
+def similar(word: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
+    """Return the textbook's word that a misspelt word is nearest to and its names in `known`; None
+    if no word is near."""
+    names = {
+        one: found
+        for words in _WORDS
+        for one in words.split()
+        if len(one) > 3 and (found := meant(one, known))
+    }
+    near = difflib.get_close_matches(word.casefold(), names, n=1, cutoff=0.85)
+    return (near[0], names[near[0]]) if near else None
 
 
 def places(word: str, offered: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ import errno
 from collections.abc import Iterable
 from pathlib import Path
 
-from ._textbook import meant
+from ._textbook import meant, similar
 
 DISTRIBUTION = "jaxvision-imaging"  # in package indices, where `jaxvision` is another project
 
@@ -39,14 +39,18 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown word: the name that a textbook's word has here, the nearest of
-    `known`, or all of `known`.
+    """Return a hint for an unknown word: the name that a textbook's word, perhaps misspelt, has
+    here, the nearest of `known`, or all of `known`.
     """
     words = sorted(known)
     if not words:
         return "there are none"
     if meaning := meant(word, words):
         return f"here it is {' or '.join(map(repr, meaning))}"
+    if not difflib.get_close_matches(word, words, n=1, cutoff=0.85) and (
+        alike := similar(word, words)
+    ):
+        return f"{alike[0]!r} is here {' or '.join(map(repr, alike[1]))}"
     folded = {one.casefold(): one for one in reversed(words)}
     match = difflib.get_close_matches(word, words, n=1) or [
         folded[one] for one in difflib.get_close_matches(word.casefold(), folded, n=1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import lazy_loader
 
-from .._textbook import places
+from .._textbook import is_absent, places
 from ._moved import module_of, renamed
 
 Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
@@ -41,8 +41,12 @@ def names_of(package: str, file: str) -> Attached:
             hint = f"from {where} import {name} gives it"
         elif name.isidentifier() and not name.startswith("_") and _is_module(Path(file), name):
             hint = f"import {package}.{name} gives it"
+            if meaning := places(name, sys.modules["jaxvision"].__all__):
+                hint = f"here it is {meaning}; import {package}.{name} gives the module"
         elif meaning := places(name, sys.modules["jaxvision"].__all__):
             hint = f"here it is {meaning}"
+        elif is_absent(name):
+            hint = "the library does not model it"
         elif records := _records_with(name, offered):
             hint = f"it is a field of {', '.join(records)}"
         elif near := difflib.get_close_matches(name, offered, n=1):

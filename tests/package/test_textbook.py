@@ -2,6 +2,8 @@
 
 import inspect
 import re
+import subprocess
+import sys
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -76,6 +78,13 @@ def test_the_page_of_notions_has_every_word():
         ("dof", "jaxvision.depth_of_field"),
         ("foreshortening", "jaxvision.lambert_shading or jaxvision.irradiance"),
         ("alpha_blending", "jaxvision.matting.over or jaxvision.matting.composite"),
+        (
+            "BRDF",
+            "jaxvision.brdf.evaluate, jaxvision.brdf.families, jaxvision.Lambert, "
+            "jaxvision.PhongBRDF or jaxvision.TorranceSparrow",
+        ),
+        ("depth_of_focus", "jaxvision.image_distance or jaxvision.circle_of_confusion"),
+        ("gain_error", "the argument 'prnu'"),
         ("photon_transfer", "fitting.noise.from_frames or fitting.noise.calibrate"),
     ],
 )
@@ -83,6 +92,37 @@ def test_a_name(word, here):
     with pytest.raises(AttributeError) as caught:
         getattr(jv, word)
     assert str(caught.value) == f"jaxvision has no {word!r}; here it is {here}."
+
+
+@pytest.mark.parametrize(
+    ("package", "word", "here"),
+    [
+        (jv.filters, "convolution", "jaxvision.filters.convolve"),
+        (
+            jv.optics,
+            "vignetting",
+            "jaxvision.sensor_irradiance, jaxvision.Rim or jaxvision.point_ops.vignette",
+        ),
+    ],
+)
+def test_a_word_that_is_also_a_module_leads_to_the_function_first(package, word, here):
+    name = package.__name__
+    code = (
+        f"import {name}\n"
+        "try:\n"
+        f"    {name}.{word}\n"
+        "except AttributeError as error:\n"
+        "    print(error)\n"
+    )  # other tests may have imported the module
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    said = f"here it is {here}; import {name}.{word} gives the module."
+    assert done.stdout == f"{name} has no {word!r}; {said}\n"
+
+
+@pytest.mark.parametrize("word", ["flare", "polarization"])
+def test_an_effect_that_is_not_modelled(word):
+    with pytest.raises(AttributeError, match=f"no '{word}'; the library does not model it"):
+        getattr(jv, word)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +152,18 @@ def test_a_name(word, here):
         (
             lambda: jv.image_distance(z_o=1.0, focal_length=0.1),
             "image_distance has no argument 'z_o'; here it is 'object_distance'.",
+        ),
+        (
+            lambda: jv.PointLight(position=[0, 0, 1], I=[1.0]),
+            "PointLight has no field 'I'; here it is 'intensity'.",
+        ),
+        (
+            lambda: jv.Lambert(albdo=[0.1]),
+            "Lambert has no field 'albdo'; 'albedo' is here 'diffuse'.",
+        ),
+        (
+            lambda: jv.Sensor(dark_noise=2),
+            "Sensor has no field 'dark_noise'; here it is 'read_noise' or 'dark_current'.",
         ),
         (
             lambda: jv.Sphere(center=[0, 0, 0], radius=1),
