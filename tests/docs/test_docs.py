@@ -110,6 +110,22 @@ def test_every_key_of_a_file_has_a_meaning(tmp_path):
     }  # the record's field is in radians
 
 
+def test_the_terms_link_to_each_textbook_figure():
+    """Each has at most 15 lines of code and a stored picture."""
+    cells = json.loads((ROOT / "notebooks" / "textbook_figures.ipynb").read_text())["cells"]
+    page = (DOCS / "notions.md").read_text()
+    titles = [head[1] for c in cells if (head := re.match("## (.+)", "".join(c["source"])))]
+    figures = [cell for cell in cells if cell["cell_type"] == "code"][1:]  # after the imports
+    for number, (title, cell) in enumerate(zip(titles, figures, strict=True), 1):
+        assert title.startswith(f"{number}. ")
+        anchor = re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
+        assert f"\n[figure {number}]: notebooks/textbook_figures.ipynb#{anchor}\n" in page
+        assert f", [figure {number}] |\n" in page
+        assert len(cell["source"]) <= 15
+        assert any({"image/png", "image/jpeg"} & o.get("data", {}).keys() for o in cell["outputs"])
+    assert len(figures) == 12
+
+
 def shown(file):
     """The Python that a reader copies from a notebook, a script or a page."""
     if file.suffix == ".ipynb":
