@@ -15,12 +15,13 @@ from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
 from ...report.sentences import Finding, Numbers, evaluate_findings
-from ..models import LABELS, facet_sentence
+from ..models import LABELS, facet_sentence, has_lobe
 from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .lights import SHADOWED, light_in_shadows
+from .perspective import camera_nearness
 from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # reported residual of a part of the object, of the mean signal
@@ -33,6 +34,7 @@ CALM = 0.5  # chi-square per degree of freedom below which the stated noise is t
 HOPELESS = 2.0  # relative misfit from which a fit does not describe the images
 FEWEST_IMAGES = 4  # images whose factors determine a scatter
 TEXTURED = 0.7  # share of a pixel's own misfit that remains in the mean over all lights
+NEAR, PERSPECTIVE, EXPLAINS = 5.0, 2.5, 0.1  # standard errors, degrees and share of the residuals
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 OfChannel = tuple[ReflectanceCalibration, ChannelFit]
@@ -321,6 +323,18 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     return listed(granted)
 
 
+def _perspective(calibration: ReflectanceCalibration) -> Numbers | None:
+    """Report highlights that lie where a camera nearby would see them."""
+    fit = max(calibration.reported, key=lambda own: float(np.mean(own.samples.dn)))
+    if not has_lobe(fit.form.model) or not fit.converged:
+        return None
+    near = camera_nearness(calibration.observation, fit.vector, fit.samples, calibration.fitted)
+    angle, sigmas = np.degrees(near.angle), abs(near.inverse) / near.error
+    if not (sigmas > NEAR and angle > PERSPECTIVE and near.explained > EXPLAINS):
+        return None
+    return {"angle": angle, "share": format_percent(near.explained), "sigmas": sigmas}
+
+
 def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
     """Report light in attached shadows, which no source of the rig reaches."""
     observation = calibration.observation
@@ -488,6 +502,15 @@ OF_ALL = (
         _parts,
         "Averaged over all lights, the {part} of the object is {share} {why}, a surface that"
         " differs from the model, or a wrong assumption of the rig: {assumed}.",
+    ),
+    Finding(
+        "perspective",
+        _perspective,
+        "The highlights lie as if the directions to the camera differed by up to {angle:.2g}"
+        " degrees from its axis ({sigmas:.0f} standard errors), which explains {share} of the"
+        " squared residuals. The fit takes the camera as far away. If it is near, or the radius or"
+        " the normals are wrong, the numbers of the highlight are off by more than their"
+        " intervals; photograph from farther away.",
     ),
     Finding(
         "brightness",
