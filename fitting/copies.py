@@ -26,13 +26,13 @@ class Copies:
             self._names.setdefault(digest, []).append(name)
 
     @property
-    def found(self) -> list[list[str]]:
+    def equal_groups(self) -> list[list[str]]:
         """Groups of names of images that are equal in every pixel."""
         return [names for names in self._names.values() if len(names) > 1]
 
     def refuse(self, folder: Path) -> None:
         """Raise InputError if any two images are equal in every pixel."""
-        for first, second, *_ in self.found:
+        for first, second, *_ in self.equal_groups:
             raise InputError(
                 f"{folder / second}: is {first} in every pixel, so one is a copy of the other; "
                 "give each exposure its own image."

@@ -160,7 +160,7 @@ def noise(
         calibration = calibrate(measurement, **own)
         if rig is not None and not channel and (taps := unstated_taps(calibration)) is not None:
             camera = rig.camera.model_copy(update={"taps": taps})
-            if not (camera.in_parts and camera.region):
+            if not (camera.has_tap_regions and camera.region):
                 sentences = periodic_findings(calibration, apart=True)
                 unstated.append((rig.model_copy(update={"camera": camera}), tuple(sentences)))
                 return Section(KIND, TITLE, (), ())  # not one camera
@@ -253,7 +253,7 @@ def predict(
     taps = read_with_draws(file)[0].taps
     if rig is not None and taps is not None and rig.camera.layout == (1, 1):
         stated = camera_of_taps(taps)
-        if stated is not None and not (stated.in_parts and rig.camera.region):
+        if stated is not None and not (stated.has_tap_regions and rig.camera.region):
             remarks = (
                 f"{rig.folder} states neither camera.pattern nor camera.taps; "
                 f"{stated_in_words(stated)} of {file} was taken.",
@@ -311,7 +311,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
         unstated = {site: unstated_taps(one) for site, one in calibrations.items()}
         taps = {own for own in unstated.values() if own is not None}
         camera = rig.camera.model_copy(update={"taps": taps.pop() if len(taps) == 1 else None})
-        if camera.taps is not None and not (camera.in_parts and camera.region):
+        if camera.taps is not None and not (camera.has_tap_regions and camera.region):
             site = next(site for site, own in unstated.items() if own is not None)
             words = periodic_findings(calibrations[site], apart=True)
             apart = rig.model_copy(update={"camera": camera})

@@ -8,6 +8,7 @@ image is read. A mistake raises an `InputError` that names the file, the entry a
 import datetime
 import math
 import os
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from fractions import Fraction
@@ -248,7 +249,7 @@ class Camera(_Known):
         sites = len(self.sites)
         if self.taps == (1, 1):
             raise ValueError("taps = [1, 1] repeat at every pixel and separate nothing; remove it")
-        if self.in_parts and self.region:
+        if self.has_tap_regions and self.region:
             raise ValueError(
                 f'taps = "{self.taps}" are parts of a whole frame and exclude a region; give one '
                 "part at a time as the region, without taps"
@@ -259,8 +260,8 @@ class Camera(_Known):
                 continue
             lengths = " or ".join(map(str, self._lengths))
             cell = f"the cell of {self.cell[0]} x {self.cell[1]} pixels that pattern and taps make"
-            where = f'taps = "{self.taps}"' if self.in_parts and not self.pattern else cell
-            if self.in_parts and self.pattern:
+            where = f'taps = "{self.taps}"' if self.has_tap_regions and not self.pattern else cell
+            if self.has_tap_regions and self.pattern:
                 where = f'a mosaic with taps = "{self.taps}"'
             raise ValueError(
                 f"{name} lists {len(values)} numbers, but {where} has {sites} "
@@ -275,9 +276,15 @@ class Camera(_Known):
         return tuple(length for length in (sites, *colours) if length > 1)
 
     @property
-    def in_parts(self) -> bool:
+    def has_tap_regions(self) -> bool:
         """Return whether each amplifier reads its own contiguous part of the frame."""
         return isinstance(self.taps, str)
+
+    @property
+    def in_parts(self) -> bool:
+        """Former name of `has_tap_regions`."""
+        warnings.warn("in_parts is now has_tap_regions.", DeprecationWarning, stacklevel=2)
+        return self.has_tap_regions
 
     @property
     def layout(self) -> tuple[int, int]:

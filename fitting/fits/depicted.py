@@ -63,14 +63,14 @@ def removable_effects(
         records[seen], records[camera], free=kept, samples=samples, depth=depth
     )
 
-    def without(names: Collection[str]) -> Problem | None:
+    def problem_without(names: Collection[str]) -> Problem | None:
         both = left(names)
         if both is None:
             return None
         changed = problem.records | {seen: both[0], camera: both[1]}
         return problem.with_records(changed, left_out=problem.left_out)
 
-    return effects, without
+    return effects, problem_without
 
 
 def _boxes(

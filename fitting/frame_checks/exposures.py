@@ -94,7 +94,7 @@ def _copied_exposures(
     copies = Copies()
     for i in left:
         copies.add(frames[i].name, frames[i].sample)
-    found = {name: COPIED.format(listed(names)) for names in copies.found for name in names}
+    found = {name: COPIED.format(listed(names)) for names in copies.equal_groups for name in names}
     return {i: found[frames[i].name] for i in left if frames[i].name in found}
 
 

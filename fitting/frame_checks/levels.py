@@ -108,7 +108,7 @@ def _copies(levels: ComparedLevels) -> None:
         copies = Copies()
         for frame in frames:
             copies.add(frame.name, frame.sample)
-        for first, *again in copies.found:
+        for first, *again in copies.equal_groups:
             places = [i for i, one in enumerate(levels.frames[level]) if one.name in again]
             levels.remove(level, places, f"equal to {first} in every pixel, as a copy is")
 
@@ -121,7 +121,7 @@ def _copies_across(levels: ComparedLevels) -> None:
         noisy = levels.noise[level] ** 2 * levels.sample_size(level) > SURE**2
         for frame in frames if (noisy if dark else levels.light[level] > 0) else ():
             copies.add(frame.name, frame.sample)
-    copied = {name for names in copies.found for name in names}
+    copied = {name for names in copies.equal_groups for name in names}
     of_levels = [{frame.name for frame in frames} for frames in levels.frames]
     keep = min((i for i, own in enumerate(of_levels) if own & copied), default=None)
     if not dark or any(len(own - copied) > 1 for own in of_levels):
@@ -135,7 +135,7 @@ def _copies_across(levels: ComparedLevels) -> None:
         )
         levels.odd.append(OddFrames(gone, COPIED_DARKS, spare=True))
         levels.frames[:] = [[one for one in x if one.name not in gone] for x in levels.frames]
-    for names in () if dark else copies.found:
+    for names in () if dark else copies.equal_groups:
         for level, frames in enumerate(levels.frames):
             places = [i for i, frame in enumerate(frames) if frame.name in names]
             if places:

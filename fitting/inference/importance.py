@@ -105,7 +105,7 @@ def laplace_where_it_holds(
     integrated = None
     if local is not None and missed is None:
         centre = np.asarray(mode, np.float64)
-        cost, _, curvature = local(np.stack([centre, *_away(centre, spread)]))
+        cost, _, curvature = local(np.stack([centre, *_shifted_modes(centre, spread)]))
         missed, volume = _misses(cost), volume_change(curvature)
         if not np.max(volume) <= TOLERATED_VOLUME:
             run = (log_density, space, mode, spread, args)
@@ -151,11 +151,11 @@ def gaussian_miss(
 ) -> Float[np.ndarray, " parameters"]:
     """Return how far the fall of the log density at two deviations is from a Gaussian's."""
     centre = np.asarray(mode, np.float64)
-    points = jnp.asarray(np.stack([centre, *_away(centre, covariance)]), mode.dtype)
+    points = jnp.asarray(np.stack([centre, *_shifted_modes(centre, covariance)]), mode.dtype)
     return _misses(-evaluate_density(log_density, points, args))
 
 
-def _away(centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _shifted_modes(centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Vectors at two standard deviations of each parameter, first up and then down."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
     return np.concatenate([centre + steps.T, centre - steps.T])

@@ -152,7 +152,7 @@ def calibrate(
     sentences = clipped + tuple(
         f"{listed(list(same))} hold equal numbers: they are copies of one exposure, so all but "
         "one of these lights are wrong."
-        for same in copies.found
+        for same in copies.equal_groups
     )
     relative = found.intensities / np.median(found.intensities)
     sentences += tuple(

@@ -80,7 +80,7 @@ def extra_in_flats(
         name: extra_lines(measurement.bright, measurement.dark, usable, axis)
         for axis, name in enumerate(LINES)
     }
-    return {name: one for name, one in found.items() if one.believed}
+    return {name: one for name, one in found.items() if one.is_significant}
 
 
 def subtract_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
@@ -93,7 +93,9 @@ def subtract_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> 
     for axis, name in enumerate(LINES):
         if name in flicker:
             unlit = temporal_lines(measurement.dark, axis)
-            extra[axis] = bright.shared.lines[axis] - (unlit.variance if unlit.believed else 0.0)
+            extra[axis] = bright.shared.lines[axis] - (
+                unlit.variance if unlit.is_significant else 0.0
+            )
     variance = np.maximum(np.asarray(bright.variance) - extra.sum(axis=0), 0.0)
     steady: Levels = replace(
         bright, variance=jnp.asarray(variance), flicker=jnp.asarray(np.maximum(extra, 0.0))

@@ -106,7 +106,7 @@ def code_tables(
     """Count the codes at some light levels, from their flats and darks, which are read again."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[levels]
-    wander = drift(dark).variance / converter.step**2 if drift(dark).believed else 0.0
+    wander = drift(dark).variance / converter.step**2 if drift(dark).is_significant else 0.0
 
     def codes_of(name: str) -> np.ndarray:
         frame = (plane(name) - converter.origin) / converter.step

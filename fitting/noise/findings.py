@@ -604,7 +604,7 @@ def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
     whole = float(np.mean(np.asarray(dark.variance)))
     for axis, name in enumerate(LINES):
         one = temporal_lines(dark, axis)
-        if one.believed:
+        if one.is_significant:
             rest = float(np.sqrt(max(whole - one.variance, 0)))
             read = {"read": np.sqrt(whole) / scale, "rest": rest / scale}
             found.append({"lines": name, "size": _format_lines(one, 1 / scale), **read})
@@ -618,7 +618,7 @@ def _banding(calibration: NoiseCalibration) -> list[Numbers]:
     return [
         {"lines": name, "size": _format_lines(one, scale), "kind": kind}
         for one, name in zip(unequal_offsets(calibration.measurement.dark), LINES, strict=True)
-        if one.believed
+        if one.is_significant
     ]
 
 
@@ -631,7 +631,7 @@ def _format_lines(found: Found, scale: float) -> str:
 def _drift(calibration: NoiseCalibration) -> Numbers | None:
     wander = drift(calibration.measurement.dark)
     fades = any("dark_current_mean" in doubt.of for doubt in calibration.measurement.doubts)
-    if not wander.believed or fades:
+    if not wander.is_significant or fades:
         return None
     part = Part(wander.variance, 2 * (wander.variance / wander.error) ** 2)
     low, _, value, _, high = deviation_quantiles(wander.variance, 0.0, [part])
@@ -652,7 +652,7 @@ def _unequal_gains(calibration: NoiseCalibration) -> list[Numbers]:
     return [
         {"lines": name, "size": _format_lines(one, 100)}
         for one, name in zip(found, LINES, strict=True)
-        if one.believed
+        if one.is_significant
     ]
 
 

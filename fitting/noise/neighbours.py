@@ -82,7 +82,7 @@ def above_dark(measurement: PhotonTransfer) -> tuple[np.ndarray, np.ndarray, np.
         each = (widest**2 / freedom)[:, None, None] / size
         total = np.sum(each * COPIES**2, axis=(1, 2))
         for axis, line in enumerate(lines):
-            if not line.believed:
+            if not line.is_significant:
                 continue
             # Offsets by the same number of rows share the products of row noise; at 0 rows these
             # are squares.

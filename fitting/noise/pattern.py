@@ -177,7 +177,7 @@ def _population_spread(
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
     parts = [
-        Part(line.variance if line.believed else 0.0, max(float(count) - 1, 1.0))
+        Part(line.variance if line.is_significant else 0.0, max(float(count) - 1, 1.0))
         for line, count in zip(lines, counts, strict=False)
     ]
     # The variance over a die contains (w - 1) (n / w) / (n - 1) of that of w columns.

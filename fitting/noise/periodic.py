@@ -20,7 +20,7 @@ from scipy.special import fdtrc, ndtr, stdtr
 from ..inference.formatting import format_number
 from .levels import PhotonTransfer
 from .live_pixels import LivePixels
-from .shared import LINES, believed_lines
+from .shared import LINES, significant_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
 LONG_MODULUS = 30  # modulus that reveals periods of 3, 5 and 6
@@ -346,7 +346,7 @@ def _gains_of_parts(
     squares = np.sum(weight * signal**2, axis=0)
     gains = np.sum(weight * signal * shot, axis=0) / squares
     # Noise shared by rows or columns increases the error of the variances of halves.
-    if bright.flicker is not None or believed_lines(measurement.dark):
+    if bright.flicker is not None or significant_lines(measurement.dark):
         return gains, []
     pixels = float(bright.pixels) / np.array([4, 4, 4, 4, 2, 2])
     errors = np.sqrt(2 / (squares * pixels))

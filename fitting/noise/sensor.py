@@ -250,7 +250,7 @@ def _parameters_outside_likelihood(
         "frame_noise": drift(dark),
     }
     for name, one in passing.items():
-        if one.believed:
+        if one.is_significant:
             add(name, one.variance, 2 * (one.variance / one.error) ** 2)
         elif name in asked:
             drawn = one.variance + one.error * rng.standard_normal(count)

@@ -48,7 +48,7 @@ class Found:
     significance: float  # significance of a variance above 0, as a normal deviate
 
     @property
-    def believed(self) -> bool:
+    def is_significant(self) -> bool:
         return self.significance > SIGNIFICANCE_SIGMAS
 
     @property
@@ -105,24 +105,24 @@ def extra_lines(
     return Found(float(values[plainest]), error, pooled.significance)
 
 
-def believed_lines(levels: Levels) -> list[tuple[float, float]]:
+def significant_lines(levels: Levels) -> list[tuple[float, float]]:
     """Return (shared temporal variance in DN^2, number of lines) for rows and for columns, without
     those whose shared variance is not significant."""
     if levels.shared is None:
         return []
     found = [temporal_lines(levels, axis) for axis in (0, 1)]
     counts = (float(count) for count in levels.shared.shape)
-    return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
+    return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.is_significant]
 
 
 def shared_noise(levels: Levels) -> SharedNoise | None:
     """Return the sampling errors that significant shared noise of rows, columns or frames adds;
     None if there is no such noise."""
-    lines, wander = believed_lines(levels), drift(levels)
-    if not lines and not wander.believed:
+    lines, wander = significant_lines(levels), drift(levels)
+    if not lines and not wander.is_significant:
         return None
     of_mean = sum(one / count for one, count in lines)
-    if wander.believed:
+    if wander.is_significant:
         degrees = float(np.sum(np.asarray(levels.frames) - 1))
         of_mean += wander.variance * degrees / max(degrees - 2, 1)  # variance of Student's t
     of_variance = sum(2 * one**2 / count for one, count in lines)

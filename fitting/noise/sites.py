@@ -360,8 +360,8 @@ def _join_taps(
         taps = Taps(
             tuple(map(tuple, np.arange(len(each)).reshape(camera.layout).tolist())),
             offset=offsets - jnp.mean(offsets),
-            stretched=camera.in_parts,
-            cell=camera.cell if camera.in_parts else (1, 1),
+            stretched=camera.has_tap_regions,
+            cell=camera.cell if camera.has_tap_regions else (1, 1),
             names=camera.sites,
             **{name: values / safe[name] for name, values in own.items()},
         )

@@ -420,7 +420,7 @@ def candidates_for(
     found.append(Candidate(BRIGHTER_FATTER, chance=by_chance, side="above"))  # charges repel
     if are_known(inputs.neighbours):
         found.append(Candidate(PIXEL_MIXING, chance=by_chance))
-    if BLACK_SCATTER not in always and drift(measurement.dark).believed:
+    if BLACK_SCATTER not in always and drift(measurement.dark).is_significant:
         found.append(Candidate(BLACK_SCATTER, chance=1))
     return tuple(found)
 

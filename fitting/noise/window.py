@@ -148,4 +148,4 @@ def _known_spread(
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
     found = lit * signal**2 * (response.variance if response.significant else 0.0)
     wander = drift(measurement.dark)
-    return found + (wander.variance if wander.believed else 0.0)
+    return found + (wander.variance if wander.is_significant else 0.0)

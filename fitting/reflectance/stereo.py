@@ -645,7 +645,7 @@ def _copies(stack: Images) -> tuple[str, ...]:
     return tuple(
         f"{listed(list(files))} hold equal numbers: they are copies of one exposure, under "
         "lights of which all but one are wrong or counted twice; keep one of them."
-        for files in copies.found
+        for files in copies.equal_groups
     )
 
 

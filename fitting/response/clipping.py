@@ -53,17 +53,17 @@ def clear_of_clipping(
         >>> print(clear_of_clipping(codes, 255.0).ravel())
         [255 255 255 255 255 100 100]
     """
-    near = _around(codes >= clip)
+    near = _neighbourhood(codes >= clip)
     scene = np.ones(codes.shape[1:], bool) if mask is None else mask
     for contrast in CONTRASTS if hidden else ():
         lost = _lost_peaks(codes, clip, contrast, scene)
         if not _darker_p_value(codes, clip, lost, near | ~scene) < FALSE_ALARM_PROBABILITY:
             break
-        near |= _around(lost)
+        near |= _neighbourhood(lost)
     return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)
 
 
-def _around(mask: np.ndarray) -> np.ndarray:
+def _neighbourhood(mask: np.ndarray) -> np.ndarray:
     size = 1, 2 * MIXED_PIXELS + 1, 2 * MIXED_PIXELS + 1
     return maximum_filter(mask.astype(np.uint8), size) > 0
 

@@ -239,7 +239,7 @@ def fit_response_curve(
     copies = Copies()
     for i, seen in enumerate(codes):
         copies.add(f"exposure {i}", seen)
-    for first, second, *_ in copies.found:
+    for first, second, *_ in copies.equal_groups:
         raise InputError(
             f"{first} and {second} are equal at every pixel, so one is a copy of the other; give "
             "each exposure its own image."

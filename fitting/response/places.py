@@ -91,7 +91,9 @@ def layout_of(
     for shorter, longer in pairwise(codes):
         one, other = logarithm[shorter], logarithm[longer]
         weight = hat[shorter] * hat[longer]
-        activity += weight * (_around(one * other) - _around(one) * _around(other))
+        activity += weight * (
+            _mean_of_neighbours(one * other) - _mean_of_neighbours(one) * _mean_of_neighbours(other)
+        )
         twice += weight
     square /= np.where(total > 0, total, 1)
     activity /= np.where(twice > 0, twice, 1)
@@ -99,7 +101,7 @@ def layout_of(
     return Layout(square[mask], activity[mask], rows, columns)
 
 
-def _around(image: np.ndarray) -> np.ndarray:
+def _mean_of_neighbours(image: np.ndarray) -> np.ndarray:
     """Return the mean of the 24 pixels around each pixel."""
     return (WINDOW_SIDE**2 * uniform_filter(image, WINDOW_SIDE) - image) / (WINDOW_SIDE**2 - 1)
 

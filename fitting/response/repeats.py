@@ -123,20 +123,20 @@ def exposure_jackknife(
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
-    def without(j: int | None) -> Solution:
+    def fit_without(j: int | None) -> Solution:
         kept = np.arange(len(log_t)) != j
         offset = log_t[kept] + pilot.solution.delta[kept]
         part = pair_statistics(codes[kept], classes, offset, coarse, pilot.rule, pilot.means)
         part = replace(part, matrix=part.matrix / fraction, score=part.score / fraction)
         return solve([part], log_t[kept], coarse, hyper)
 
-    fits = [without(j) for j in range(len(log_t))]
+    fits = [fit_without(j) for j in range(len(log_t))]
     found = [_prediction_error(codes, log_t, j, fit, coarse, pilot) for j, fit in enumerate(fits)]
     rms, far = np.array(found).T
     held_out = HeldOut(rms, np.exp(log_t), far)
     if len(log_t) < FEWEST_EXPOSURES:
         return None, held_out
-    whole = without(None)
+    whole = fit_without(None)
     departures = _jackknife([bin_centre_curve(fit.means, coarse) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
     explained = 2 * _pixel_variance(whole, matrix, coarse)  # either exposure loses a pair

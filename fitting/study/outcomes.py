@@ -96,7 +96,7 @@ class Settings:
     reports: bool = True
 
     @property
-    def shown(self) -> str:
+    def result_file(self) -> str:
         """Return the name of the file that shows a folder's results: the report, or the JSON
         file.
         """

@@ -89,7 +89,7 @@ def study(
     title = f"{TITLES[settings.kind]} of {len(every)} folders"
     with replaced_on_success(out / "study.html") as whole:
         parts = result.outcomes, found, result.quantities, result.drifts
-        text = page(title, *parts, shown=settings.shown)
+        text = page(title, *parts, shown=settings.result_file)
         whole.write_text(text, encoding="utf-8")
     return result
 

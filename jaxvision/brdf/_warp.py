@@ -122,15 +122,15 @@ def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
     r1 = interpolate_table(w.conditional, at, row + 1, columns - 1)
     y = _invert_linear(r0, r1, (uy - interpolate_table(w.marginal, at, row)) * (rows - 1))
 
-    def along(table: Array, i: Int[Array, ""]) -> Scalar:
+    def value_at_column(table: Array, i: Int[Array, ""]) -> Scalar:
         return (1 - y) * interpolate_table(table, at, row, i) + y * interpolate_table(
             table, at, row + 1, i
         )
 
     target = ux * ((1 - y) * r0 + y * r1)
-    column = _last_below(columns, lambda i: along(w.conditional, i), target)
-    c0, c1 = along(w.density, column), along(w.density, column + 1)
-    x = _invert_linear(c0, c1, (target - along(w.conditional, column)) * (columns - 1))
+    column = _last_below(columns, lambda i: value_at_column(w.conditional, i), target)
+    c0, c1 = value_at_column(w.density, column), value_at_column(w.density, column + 1)
+    x = _invert_linear(c0, c1, (target - value_at_column(w.conditional, column)) * (columns - 1))
     place = ((column.astype(x.dtype) + x) / (columns - 1), (row.astype(y.dtype) + y) / (rows - 1))
     return place, (1 - x) * c0 + x * c1
 
@@ -141,13 +141,13 @@ def unwarp(w: Warp, at: Slices, position: Square) -> tuple[Square, Scalar]:
     (column, _), (_, x) = place_in_unit(position[0], columns)
     (row, _), (_, y) = place_in_unit(position[1], rows)
 
-    def along(table: Array, i: Int[Array, ""]) -> Scalar:
+    def value_at_column(table: Array, i: Int[Array, ""]) -> Scalar:
         return (1 - y) * interpolate_table(table, at, row, i) + y * interpolate_table(
             table, at, row + 1, i
         )
 
-    c0, c1 = along(w.density, column), along(w.density, column + 1)
-    part = along(w.conditional, column) + x * (c0 + x * (c1 - c0) / 2) / (columns - 1)
+    c0, c1 = value_at_column(w.density, column), value_at_column(w.density, column + 1)
+    part = value_at_column(w.conditional, column) + x * (c0 + x * (c1 - c0) / 2) / (columns - 1)
     r0 = interpolate_table(w.conditional, at, row, columns - 1)
     r1 = interpolate_table(w.conditional, at, row + 1, columns - 1)
     whole = (1 - y) * r0 + y * r1

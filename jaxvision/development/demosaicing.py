@@ -200,7 +200,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
         is_first = first_rows & ~is_green
         green, lead = materialise(lambda f: _directed_green(f, is_green), plane)
 
-        def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
+        def directed_mean(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
             return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
         def differences_at_green(from_green: Plane) -> tuple[Plane, Plane]:
@@ -212,7 +212,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
 
         def interpolate_others(raw: Plane, green: Plane) -> tuple[Plane, Plane]:
             first, second = differences_at_green(jnp.where(is_green, 0, raw - green))
-            apart = along(first - second, _mean_of_two)
+            apart = directed_mean(first - second, _mean_of_two)
             return (
                 jnp.where(is_green, green + first, jnp.where(is_first, raw, raw + apart)),
                 jnp.where(is_green, green + second, jnp.where(is_first, raw - apart, raw)),
@@ -221,12 +221,15 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
         def refine_bands(
             raw: Plane, green: Plane, first: Plane, second: Plane
         ) -> tuple[Plane, Plane, Plane]:
-            seen = (along(first - green, _mean_of_three), along(second - green, _mean_of_three))
+            seen = (
+                directed_mean(first - green, _mean_of_three),
+                directed_mean(second - green, _mean_of_three),
+            )
             green = jnp.where(is_green, green, raw - jnp.where(is_first, *seen))
             above_green = differences_at_green(jnp.where(is_green, 0, raw - green))
             first = jnp.where(is_green, green + above_green[0], first)
             second = jnp.where(is_green, green + above_green[1], second)
-            apart = along(first - second, _mean_of_three)
+            apart = directed_mean(first - second, _mean_of_three)
             return (
                 green,
                 jnp.where(is_green | is_first, first, raw + apart),

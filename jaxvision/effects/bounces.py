@@ -29,7 +29,7 @@ from .boxes import setting
 from .cells import Cells, starts
 from .illumination import times
 from .stages import Row
-from .sums import Sums, pictured, sent
+from .sums import Sums, picture_maximum, reflected_light
 
 EMITTED = 1  # segments of a path from an emitter: surface to eye
 DIRECT = 2  # segments of a path of direct light: light to surface, surface to eye
@@ -52,7 +52,7 @@ def bounce_rows(onward: "Onward") -> tuple[Row, ...]:
         for light, own in ((sums.sent_radiance, EMITTED), (onward.lamps, DIRECT))
     )
     return tuple(
-        pieces_row(pictured(sums, tail[sums.cells.surface]), pieces, depth)
+        pieces_row(picture_maximum(sums, tail[sums.cells.surface]), pieces, depth)
         for pieces, tail in zip(wanted, emitted + lit, strict=True)
     )
 
@@ -134,7 +134,7 @@ class Onward:
         return self.series(least, self.depth - DIRECT)
 
     @cached_property
-    def shown(self) -> np.ndarray:
+    def may_be_seen(self) -> np.ndarray:
         """Flags, (n,): whether a pixel may see a cell of each surface."""
         return np.logical_or.reduceat(self.sums.seen, starts(self.sums.cells))
 
@@ -148,7 +148,7 @@ class Onward:
         """A bound, (n, bands) W m^-2 sr^-1, on the light of lamps that each surface reflects."""
         found = np.zeros_like(self.sums.sent_radiance)
         for k in range(len(self.sums.sources)):
-            found += largest(self.sums.cells, sent(self.sums, k, around=True))
+            found += largest(self.sums.cells, reflected_light(self.sums, k, around=True))
         return found
 
     @cached_property

@@ -64,12 +64,12 @@ def value_at(record: Any, name: str) -> Any:
     return record
 
 
-def put(record: Any, steps: list[str | int], value: Any) -> Any:
+def replace_at(record: Any, steps: list[str | int], value: Any) -> Any:
     """Return a copy of a record with the value at the end of a path replaced."""
     if not steps:
         return value
     first, rest = steps[0], steps[1:]
-    inner = put(_entry(record, first), rest, value)
+    inner = replace_at(_entry(record, first), rest, value)
     if isinstance(first, int):
         return (*record[:first], inner, *record[first + 1 :])
     return replace(record, **{first: inner})
@@ -77,7 +77,7 @@ def put(record: Any, steps: list[str | int], value: Any) -> Any:
 
 def setting(name: str, *, to: Any = None) -> Drop:
     """Return a function that sets one field of a `Draft`, such as "camera.sensor.bits", to `to`."""
-    return lambda draft: put(draft, steps_of(name), to)
+    return lambda draft: replace_at(draft, steps_of(name), to)
 
 
 def _names(record: Any, prefix: str) -> Iterator[str]:
@@ -107,7 +107,7 @@ def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene]
             hint = nearest(name, [*_names(scene, ""), *_names(camera, "")])
             raise InputError(f"free: {name!r} is no number of this scene and camera; {hint}.")
         for end, value in enumerate(_check_ends(name, own, values)):
-            held[end] = put(held[end], steps_of(name), value)
+            held[end] = replace_at(held[end], steps_of(name), value)
     return Ends(*scenes), Ends(*cameras)
 
 

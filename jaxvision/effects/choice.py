@@ -289,7 +289,7 @@ def _assumed_of(scene: Scene) -> Iterator[str]:
 def bands_of(draft: Draft) -> int:
     """Return the largest number of bands of any material, emission or light of a `Draft`."""
     counts = [1]
-    for surface in draft.left:
+    for surface in draft.present_surfaces:
         material = surface.material
         counts += [getattr(material, name).shape[-1] for name in material.spectra]
         counts += [
@@ -317,7 +317,7 @@ def finished(scene: Scene, draft: Draft) -> Scene:
         occluders = tuple(met.index(i) for i in occluders if i in met)
     return replace(
         scene,
-        surfaces=draft.left,
+        surfaces=draft.present_surfaces,
         lights=tuple(draft.lights[k] for k in left),
         ambient=draft.ambient,
         occluders=() if dark else occluders,

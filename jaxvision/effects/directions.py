@@ -14,7 +14,7 @@ import numpy as np
 from .angles import cos_seen
 from .bounces import Onward
 from .illumination import times
-from .sums import Sums, lobe_sent, pictured, slopes
+from .sums import Sums, lobe_sent, picture_maximum, slopes
 
 
 def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
@@ -49,7 +49,7 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
         total = total + np.where(bent, lobe + body, turned + np.minimum(2 * uneven, body))
     total = np.where(sums.k_mirror.max(1)[of_cell, None] > 0, np.inf, total)
     lamps = [not source.even for source in sums.sources]
-    return np.maximum(pictured(sums, total), sums.shown[lamps].max(0, initial=0))
+    return np.maximum(picture_maximum(sums, total), sums.shown[lamps].max(0, initial=0))
 
 
 def _interreflection_bound(

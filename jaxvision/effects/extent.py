@@ -25,7 +25,7 @@ from ..core._bounds import Ends, Source
 from ..scene import Light
 from .cells import Cells
 from .illumination import source_of, times
-from .sums import Sums, geometry_of, lobe_sent, sent, slopes
+from .sums import Sums, geometry_of, lobe_sent, reflected_light, slopes
 
 _MAX_RATIO = 0.9  # largest ratio of half the diagonal to the distance
 
@@ -59,7 +59,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
     body = times((peak * relative)[:, None], times(sums.k_body, spectrum)[of_cell])
     at_place, lobe_at_place = _small_light_suprema(sums, k, place, area)
-    either = np.maximum(sent(sums, k), at_place + lobe_at_place)
+    either = np.maximum(reflected_light(sums, k), at_place + lobe_at_place)
     lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
     moved = _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
     cut = np.array([own.lobe is not None and own.lobe.step for own in sums.reflections])[of_cell]

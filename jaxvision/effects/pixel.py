@@ -216,7 +216,7 @@ class Pixel:
         """The variances of the read-out noise at both ends of the free parameters."""
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
-    def added(self, name: str = "") -> float:
+    def added_variance(self, name: str = "") -> float:
         """Return the smallest variance added after the conversion, without the source `name`."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
@@ -266,8 +266,8 @@ class Pixel:
     @cached_property
     def quiet(self) -> float:
         """The smallest variance of any pixel, as a variance of the charge."""
-        larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
-        return self.counted_dark + self.added() / larger
+        larger = (1 + self.high("conversion_prnu") ** 2) * self.largest_growth**2
+        return self.counted_dark + self.added_variance() / larger
 
     @cached_property
     def gain_after_conversion(self) -> float:
@@ -285,10 +285,10 @@ class Pixel:
     @cached_property
     def gain_without_repulsion(self) -> float:
         """The factor `gain_of_charge` without the brighter-fatter effect."""
-        return self.gain_of_conversion * self.grown
+        return self.gain_of_conversion * self.largest_growth
 
     @cached_property
-    def grown(self) -> float:
+    def largest_growth(self) -> float:
         """The largest factor by which the effects on charge multiply a charge or a change of it."""
         return math.prod(own_bound(effect, self.rms)[1] for effect in self.charge_effects)
 
@@ -308,24 +308,24 @@ class Pixel:
         """Return the largest root mean square change, in electrons, of any pixel by an effect on
         charge. A curve g changes charges of mean m and rms s by at most |g(m) - m| + L s, where L
         is the largest deviation of the slope of g from 1."""
-        curve, electrons = stage_of(effect.low).curve, self.rms * self.grown
+        curve, electrons = stage_of(effect.low).curve, self.rms * self.largest_growth
         leaning = own_bound(effect, 1.0)[0]
         known = effect.low is effect.high and math.isfinite(electrons * leaning)
         if curve is None or not known:
             return own_bound(effect, electrons)[0]
-        mean = (self.light + self.dark) * self.grown
+        mean = (self.light + self.dark) * self.largest_growth
         noise = math.sqrt(self.bright) if self.counted else 0.0
         noise = math.hypot(noise, self.high("prnu") * self.light, math.sqrt(2) * self.hot)
         charges = np.linspace(0, mean, CHARGES)
         found = np.asarray(curve(effect.low, jnp.asarray(charges, jnp.result_type(float))), float)
         departure = float(np.max(np.abs(found - charges))) + leaning * mean / (2 * (CHARGES - 1))
         rounding = 4 * float(jnp.finfo(jnp.result_type(float)).eps) * mean
-        return departure + rounding + leaning * noise * self.grown
+        return departure + rounding + leaning * noise * self.largest_growth
 
     @cached_property
     def read_bright(self) -> float:
         """The electrons of the brightest pixel after the effects on charge."""
-        return self.bright * self.grown
+        return self.bright * self.largest_growth
 
     @cached_property
     def rms(self) -> float:
@@ -367,7 +367,7 @@ class Pixel:
         return Flood(float(shares.sum()), math.sqrt((shares**2).sum()))
 
     @cached_property
-    def received(self) -> float:
+    def received_charge(self) -> float:
         """A bound on the root mean square of the charge R that overflows into a pixel, in
         electrons:
 
@@ -391,9 +391,11 @@ class Pixel:
         another pixel arrives if its charge overflows, and all of the change if a well on the way
         becomes full. The change of the reading is also at most the sum of the charges received
         before and after the change."""
-        if self.received == 0:
+        if self.received_charge == 0:
             return self.gain_of_charge * by
-        return self.gain_of_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
+        return self.gain_of_charge * min(
+            by * (1 + 2 * self.flood.all), by + 2 * self.received_charge
+        )
 
     @cached_property
     def reach(self) -> float:
@@ -405,7 +407,7 @@ class Pixel:
         shared = 1 if mixing is None else mixing.kernel.size
         if self.repulsion > 0:
             return pixels
-        rows = self.shape[0] if self.received > 0 else 1
+        rows = self.shape[0] if self.received_charge > 0 else 1
         transfer = self.sensor.high["charge_transfer"]
         trail = 1 if transfer is None else transfer.trail + 1
         columns = 1 if transfer is None or transfer.serial_inefficiency is None else trail
@@ -418,7 +420,7 @@ class Pixel:
         changes = (np.abs(np.asarray(v, float) - none) for v in values if v is not None)
         return max((float(np.max(change)) for change in changes), default=0.0)
 
-    def moved(self, by: float, *, patterned: bool) -> float:
+    def distribution_change(self, by: float, *, patterned: bool) -> float:
         """Return the change of a pixel's distribution, in DN, if its charge changes by `by`
         electrons, called d.
 

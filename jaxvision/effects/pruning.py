@@ -316,7 +316,7 @@ def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
     """Return the materials that changed to a new type, which needs a program of its own."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
-        for surfaces in (scene.surfaces, draft.left)
+        for surfaces in (scene.surfaces, draft.present_surfaces)
     )
     if len(set(after)) <= len(set(before)):
         return ()

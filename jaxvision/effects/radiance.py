@@ -31,8 +31,8 @@ from .sums import (
     emitted,
     geometry_of,
     lobe_sent,
-    pictured,
-    sent,
+    picture_maximum,
+    reflected_light,
     sums_of,
 )
 
@@ -85,8 +85,8 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
     """Return the supremum of the picture's radiance, (bands,), visible lamps included."""
     found = onward(sums.sent_radiance[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
-        found = found + onward(sent(sums, k), sent(sums, k, around=True))
-    return np.maximum(pictured(sums, found), direct_radiance(sums, sums.shown))
+        found = found + onward(reflected_light(sums, k), reflected_light(sums, k, around=True))
+    return np.maximum(picture_maximum(sums, found), direct_radiance(sums, sums.shown))
 
 
 def depths(sums: Sums) -> tuple[float, float]:
@@ -127,9 +127,9 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
     def amount(within: np.ndarray) -> np.ndarray:
         lamp, around = (
-            sent(sums, k, around=any_viewer, only=within) for any_viewer in (False, True)
+            reflected_light(sums, k, around=any_viewer, only=within) for any_viewer in (False, True)
         )
-        lit = pictured(sums, onward(lamp, around))
+        lit = picture_maximum(sums, onward(lamp, around))
         return np.maximum(np.maximum(lit, _mirrored_radiance(sums, k, within)), least)
 
     name = f"lights[{k}]"
@@ -140,10 +140,10 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
     why += f"; {100 * np.mean(dark[sums.seen]):.0f} % in full shadow" if sums.seen.any() else ""
     lit, shadows = amount(~dark), f"shadows[{k}]"
 
-    def after(gone: Gone) -> np.ndarray:
+    def bound_without(gone: Gone) -> np.ndarray:
         return whole if shadows in gone else lit
 
-    return replace(row, amount=lit, why=why, after=after)
+    return replace(row, amount=lit, why=why, after=bound_without)
 
 
 def _mirrored_radiance(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
@@ -153,14 +153,14 @@ def _mirrored_radiance(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
     extended = np.array([own.extended for own in sums.sources])[:, None]
     behind = direct_radiance(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
     shown = within & sums.mirrored[k]
-    return pictured(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
+    return picture_maximum(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
 
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
     """Bound the effect of a lamp's shadows by all light that the lamp sends to surfaces that may be
     in shadow. The bound is 0 if no surface can be in shadow."""
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
-    amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
+    amount = picture_maximum(sums, reflected_light(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
     if onward.depth is not None:
         why = "path tracing includes shadows; they cannot be dropped separately"
@@ -182,7 +182,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
     name, lamp = f"lights[{k}].extent", f"lights[{k}]"
     if small is None:
         return Row(name, _unknown(sums), why, None, saves=_REST, part_of=lamp)
-    change = pictured(sums, amount)
+    change = picture_maximum(sums, amount)
     if np.isinf(change).any():
         why += "; it is visible in a mirror, glass or a material without a bound"
     return Row(name, change, why, setting(lamp, to=small), saves=_SAVES["extent"], part_of=lamp)
@@ -240,7 +240,7 @@ def _largest_sent(
     if onward.depth is None:
         return np.max(cells, axis=0, initial=0, where=seen)
     later = onward.radiance_from(i, sent_radiance(True).max(0))
-    found = np.max(later, axis=0, initial=0, where=onward.shown[:, None])
+    found = np.max(later, axis=0, initial=0, where=onward.may_be_seen[:, None])
     return np.maximum(found, np.max(cells + later[i], axis=0, initial=0, where=seen))
 
 
@@ -366,7 +366,7 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
     """Bound the effect of the radiance that a surface emits."""
     own = emitted(sums.surfaces, sums.sent_radiance.shape[1])
     own[np.arange(len(own)) != i] = 0
-    amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))
+    amount = picture_maximum(sums, onward(own[sums.cells.surface], pieces=EMITTED))
     name = f"surfaces[{i}].emission"
     return Row(name, amount, "emits light", setting(name), saves=_REST)
 
@@ -402,6 +402,6 @@ def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
     own = ambient_reflected(scene, sums.surfaces, sums.sent_radiance.shape[1])
     if onward.depth is not None:
         own = 0 * own
-    amount = pictured(sums, own[sums.cells.surface])
+    amount = picture_maximum(sums, own[sums.cells.surface])
     kind = AmbientLight.__name__ if present else "absent"
     return Row("ambient", amount, kind, setting("ambient"), saves=_REST, present=present)

@@ -94,7 +94,7 @@ def dark_noise(pixel: Pixel) -> float:
     """
     conversion, column = pixel.low("conversion_prnu"), pixel.low("column_prnu")
     dark = pixel.counted_dark
-    read = (1 + conversion**2) * dark + (conversion * dark) ** 2 + pixel.added()
+    read = (1 + conversion**2) * dark + (conversion * dark) ** 2 + pixel.added_variance()
     variance = pixel.gain_low**2 * (1 + column**2) * read
     rounding = 0.0 if pixel.sensor.high["bits"] is None else QUANTISATION_VARIANCE
     return math.sqrt(variance + rounding)
@@ -109,7 +109,7 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
         for end in pixel.sensor
     )  # an offset of the light does not change
     moved = replace(pixel, sensor=Ends(*ends), irradiance=np.abs(change)).light
-    return clean(pixel.moved(moved, patterned=True))
+    return clean(pixel.distribution_change(moved, patterned=True))
 
 
 def _row(
@@ -117,13 +117,13 @@ def _row(
 ) -> Row:
     """Return the `Row` of an effect, bounded for the sensor without those dropped before."""
 
-    def after(gone: Gone) -> float:
+    def bound_without(gone: Gone) -> float:
         return clean(bound(pixel(gone - {name})).dn)
 
     first = bound(pixel(frozenset()))
     dn = np.asarray(clean(first.dn))
     more |= {"estimated": first.rank == "estimate" and dn > 0, "rare": first.rare}
-    return Row(name, dn, first.why, drop, unit=DN, after=after, **more)
+    return Row(name, dn, first.why, drop, unit=DN, after=bound_without, **more)
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:

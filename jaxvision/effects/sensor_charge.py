@@ -75,10 +75,10 @@ def full_well(pixel: Pixel) -> Bound:
 
 def blooming(pixel: Pixel) -> Bound:
     """Bound blooming by the charge that a pixel receives from its column."""
-    if pixel.received == 0:
+    if pixel.received_charge == 0:
         return Bound(0.0, "no charge spills")
     why = f"{pixel.spilt.mean:.3g} e- above the well expected, at most"
-    return Bound(pixel.gain_of_charge * pixel.received, why, rank=pixel.rank_of_counts)
+    return Bound(pixel.gain_of_charge * pixel.received_charge, why, rank=pixel.rank_of_counts)
 
 
 def charge_transfer(pixel: Pixel) -> Bound:

@@ -25,7 +25,8 @@ def light_offset(pixel: Pixel) -> Bound:
     """Bound the effect of an offset of the light by the light that it adds or subtracts."""
     beside = pixel.offset_charge * pixel.smear_factor * pixel.push_factor
     return Bound(
-        pixel.moved(beside, patterned=True), f"{pixel.offset_charge:.3g} e- besides the light"
+        pixel.distribution_change(beside, patterned=True),
+        f"{pixel.offset_charge:.3g} e- besides the light",
     )
 
 
@@ -59,7 +60,7 @@ def crosstalk(pixel: Pixel) -> Bound:
     dark pixels loses it."""
     share = 4 * pixel.high("crosstalk")
     why = f"{share:.3g} of the brightest charge drifts"
-    return Bound(pixel.moved(share * pixel.light, patterned=True), why)
+    return Bound(pixel.distribution_change(share * pixel.light, patterned=True), why)
 
 
 def smear(pixel: Pixel) -> Bound:
@@ -68,7 +69,7 @@ def smear(pixel: Pixel) -> Bound:
     share = pixel.high("smear") * (pixel.shape[0] - 1)
     gathered = share * pixel.light / pixel.smear_factor
     why = f"{share:.3g} of the brightest charge, gathered along its column"
-    return Bound(pixel.moved(gathered, patterned=True), why)
+    return Bound(pixel.distribution_change(gathered, patterned=True), why)
 
 
 def prnu(pixel: Pixel) -> Bound:
@@ -94,7 +95,7 @@ def dead_pixels(pixel: Pixel) -> Bound:
     """Bound dead pixels by all their light, which matters within their `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels are dead; the bound is for these"
-    return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
+    return Bound(pixel.distribution_change(pixel.light, patterned=True), why, rare=rare)
 
 
 def dark_current(pixel: Pixel) -> Bound:
@@ -127,7 +128,7 @@ def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -
     # no bound is known if the light is inf, even if the factor is 1
     with np.errstate(invalid="ignore"):
         taken = replace(without, irradiance=pixel.irradiance * (1 - factor)).light
-    return Bound(without.moved(taken, patterned=True), why)
+    return Bound(without.distribution_change(taken, patterned=True), why)
 
 
 BOUNDS = field_functions(Sensor, globals())

@@ -34,9 +34,9 @@ def conversion_prnu(pixel: Pixel) -> Bound:
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
     counted = pixel.surely_counted
-    variance = charge * pixel.grown if pixel.counted else 0.0
-    variance += (pixel.high("prnu") * pixel.light * pixel.grown) ** 2
-    grown = growth(pixel.added() + counted, rms**2 * (variance + charge**2))
+    variance = charge * pixel.largest_growth if pixel.counted else 0.0
+    variance += (pixel.high("prnu") * pixel.light * pixel.largest_growth) ** 2
+    grown = growth(pixel.added_variance() + counted, rms**2 * (variance + charge**2))
     return Bound(pixel.gain_after_conversion * grown, f"{rms:.3g} of {charge:.4g} e-")
 
 
@@ -48,11 +48,11 @@ def column_prnu(pixel: Pixel) -> Bound:
         return Bound(INF, "the light is not bounded")
     counted = pixel.surely_counted
     conversion = pixel.high("conversion_prnu") ** 2
-    own = charge * pixel.grown if pixel.counted else 0.0
-    own += (pixel.high("prnu") * pixel.light * pixel.grown) ** 2
+    own = charge * pixel.largest_growth if pixel.counted else 0.0
+    own += (pixel.high("prnu") * pixel.light * pixel.largest_growth) ** 2
     own = own * (1 + conversion) + conversion * charge**2 + sum(pixel.variances.high.values())
     own += _trap(pixel)
-    grown = growth(pixel.added() + counted, rms**2 * (own + charge**2))
+    grown = growth(pixel.added_variance() + counted, rms**2 * (own + charge**2))
     return Bound(pixel.gain * grown, f"{rms:.3g} of {charge:.4g} e-")
 
 
@@ -60,7 +60,7 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
     """Bound a noise or pattern of zero mean in all pixels, independent of all others."""
     variance = pixel.variances.high[name]
     conversion = pixel.low("conversion_prnu")
-    rest = (1 + conversion**2) * pixel.counted_dark + pixel.added(name)
+    rest = (1 + conversion**2) * pixel.counted_dark + pixel.added_variance(name)
     moved = pixel.gain_after_conversion * growth(rest, variance)
     return Bound(moved, f"{math.sqrt(variance):.3g} e- rms")
 
@@ -69,7 +69,7 @@ def telegraph_noise(pixel: Pixel) -> Bound:
     """Bound telegraph noise, +a or -a in half of the frames of a trap: variance a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
-    rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
+    rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added_variance()
     moved = pixel.gain_after_conversion * growth(rest, trapped)
     why = f"{rare:.3g} pixels have a trap; the bound is for these"
     return Bound(moved, why, rare=rare)
@@ -104,7 +104,9 @@ def taps(pixel: Pixel) -> Bound:
     of_light = 0.0
     if light:
         brightest = max(float(np.max(end["taps"].quantum_efficiency)) for end in pixel.sensor)
-        of_light = pixel.moved(light * pixel.light / min(brightest, 1.0), patterned=True)
+        of_light = pixel.distribution_change(
+            light * pixel.light / min(brightest, 1.0), patterned=True
+        )
         why += f", light by {light:.3g}"
     return Bound(offset + share * moved + of_light, why)
 
@@ -167,7 +169,7 @@ def _clipped_rms(pixel: Pixel) -> float:
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
     if max(conversion, column) * _TAIL >= 1 or not math.isfinite(pixel.bright):
         return INF
-    widest = (1 + _TAIL * conversion) * (1 + _TAIL * column) * pixel.grown
+    widest = (1 + _TAIL * conversion) * (1 + _TAIL * column) * pixel.largest_growth
     noise = pixel.gain * (1 + _TAIL * column) * math.sqrt(_widest(pixel))
     offsets = _offsets(pixel)
     top = 2 ** float(pixel.sensor.low["bits"]) - 1
@@ -177,7 +179,7 @@ def _clipped_rms(pixel: Pixel) -> float:
     low += pixel.gain * (1 + _TAIL * conversion) * (1 + _TAIL * column) * _negative(pixel)
     spare = (top - max(offsets)) / (pixel.gain * widest)
     high = _excess_rms(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
-    second = (pixel.bright + pixel.bright**2) * pixel.grown**2 + _widest(pixel)
+    second = (pixel.bright + pixel.bright**2) * pixel.largest_growth**2 + _widest(pixel)
     beyond = pixel.gain * math.sqrt(second * 2 * _TAIL_ODDS * 4 * _TAIL**2)
     return math.hypot(low, high) + (beyond if max(conversion, column) > 0 else 0.0)
 
@@ -198,7 +200,7 @@ def _negative(pixel: Pixel) -> float:
     """
     mixing = [end["mixing"] for end in pixel.sensor]
     below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
-    return pixel.grown * (pixel.deficit + max(below, default=0.0) * pixel.rms)
+    return pixel.largest_growth * (pixel.deficit + max(below, default=0.0) * pixel.rms)
 
 
 def _excess_rms(pixel: Pixel, level: float, noise: float) -> float:
@@ -235,7 +237,7 @@ def _negative_rms(pixel: Pixel, offset: float) -> float:
     where a is the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 +
     (a o - v)^2), or at the brightest M.
     """
-    spare = (1 + _TAIL * pixel.high("conversion_prnu")) * pixel.grown
+    spare = (1 + _TAIL * pixel.high("conversion_prnu")) * pixel.largest_growth
     per_electron = pixel.gain * (1 + _TAIL * pixel.high("column_prnu"))
     noise, o = _widest(pixel), max(offset, 0.0) / per_electron
     worst = spare**2 + math.hypot(spare**2, spare * o - noise)

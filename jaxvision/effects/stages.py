@@ -54,7 +54,7 @@ class Draft:
     threshold: float | None = None  # W m^-2 sr^-1, as in `render`, before bands were dropped
 
     @property
-    def left(self) -> tuple[Surface, ...]:
+    def present_surfaces(self) -> tuple[Surface, ...]:
         """The surfaces of the scene that were not dropped."""
         return tuple(own for i, own in enumerate(self.surfaces) if i not in self.unmet)
 

@@ -294,7 +294,9 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
     return in_picture and not covered(source.body, eye, surfaces)
 
 
-def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:
+def reflected_light(
+    sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None
+) -> np.ndarray:
     """Bound the light of source k that each cell reflects, (c, bands) W m^-2 sr^-1, toward the eye
     or, if `around`, toward any viewer. `only`, (c,), flags the cells to include, all if None."""
     of_cell = sums.cells.surface
@@ -309,7 +311,8 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
 
 
 def lobe_sent(sums: Sums, k: int, *, around: bool = False, part: slice = slice(None)) -> np.ndarray:
-    """Bound the light of source k by the lobe of each cell of a slice, (c, bands), as in `sent`."""
+    """Bound the light of source k that the lobe of each cell of a slice reflects, (c, bands), as in
+    `reflected_light`."""
     own = times(sums.k_lobe[sums.cells.surface[part]], sums.spectrum[k])
     return times((sums.lobe_around if around else sums.lobe)[k][part, None], own)
 
@@ -323,6 +326,6 @@ def direct_radiance(sums: Sums, radiance: np.ndarray) -> np.ndarray:
     return np.maximum(around, np.where(skies, 0, radiance).max(0, initial=0))
 
 
-def pictured(sums: Sums, values: np.ndarray) -> np.ndarray:
+def picture_maximum(sums: Sums, values: np.ndarray) -> np.ndarray:
     """Return the maximum of the values, (c, bands), over the visible cells, (bands,)."""
     return np.max(values[sums.seen], axis=0, initial=0)

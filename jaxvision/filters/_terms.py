@@ -69,7 +69,7 @@ def _apply_terms(picture: Picture, terms: Terms, fill: Fill, settings: Settings)
     outer = Settings(
         anchor, "zero" if border in ("constant", "normalised_zero") else border, method
     )
-    total = reduce(add, (_after(image, kernels, outer) for kernels in passes))
+    total = reduce(add, (_correlate_in_turn(image, kernels, outer) for kernels in passes))
     if border == outer.border:
         return restore(total)
     kernel = reduce(add, kernels)
@@ -95,7 +95,7 @@ def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:
     return (jnp.asarray(term, dtype).reshape(*term.shape[:2], -1),)
 
 
-def _after(image: Stack, kernels: tuple[Kernel, ...], settings: Settings) -> Stack:
+def _correlate_in_turn(image: Stack, kernels: tuple[Kernel, ...], settings: Settings) -> Stack:
     """Correlate the image with the kernels of a term, one after the other."""
     (row, column), border, method = settings
     for kernel in kernels:

@@ -234,7 +234,7 @@ def _normalise(
 def _reduce(image: Stack, axis: int, border: str) -> Stack:
     """Filter one axis with the binomial, at the even samples only."""
     last = 2 * (-(-image.shape[axis] // 2)) - 1
-    around = _around(image, axis, 2, border)
+    around = _pad_both_sides(image, axis, 2, border)
     a, b, c, d, e = (lax.slice_in_dim(around, i, i + last, 2, axis) for i in range(5))
     return (a + e + 4 * (b + d) + 6 * c) / 16
 
@@ -244,11 +244,11 @@ def _expand(image: Stack, axis: int, border: str) -> Stack:
     and odd taps separately.
     """
     count = image.shape[axis]
-    around = _around(image, axis, 1, border)
+    around = _pad_both_sides(image, axis, 1, border)
     before, here, after = (lax.slice_in_dim(around, i, i + count, axis=axis) for i in range(3))
     both = jnp.stack([(before + 6 * here + after) / 8, (here + after) / 2], axis=axis + 1)
     return both.reshape(*image.shape[:axis], 2 * count, *image.shape[axis + 1 :])
 
 
-def _around(image: Stack, axis: int, by: int, border: str) -> Stack:
+def _pad_both_sides(image: Stack, axis: int, by: int, border: str) -> Stack:
     return pad_axis(image, axis, by, by, border, jnp.zeros((), image.dtype))

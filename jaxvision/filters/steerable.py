@@ -84,12 +84,12 @@ def directional_derivative(
         ValueError: as for `gaussian`.
     """
 
-    def along(order: tuple[int, int]) -> Filtered:
+    def smoothed_derivative(order: tuple[int, int]) -> Filtered:
         return gaussian(
             picture, sigma, size=size, truncate=truncate, order=order, border=border, fill=fill
         )
 
-    right, up = along((0, 1)), -along((1, 0))
+    right, up = smoothed_derivative((0, 1)), -smoothed_derivative((1, 0))
     return _map_kernels(jnp.cos(angle), right) * right + _map_kernels(jnp.sin(angle), up) * up
 
 

@@ -32,7 +32,7 @@ def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
     return divide(dot(normal, point - ray.origin), slope, where=crosses)
 
 
-def _along(ray: Ray, distance: Scalar) -> Vec:
+def _point_at(ray: Ray, distance: Scalar) -> Vec:
     return ray.origin + distance * ray.direction
 
 
@@ -50,7 +50,7 @@ def _hit(
     """
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
-    place = compute(_along, ray, jnp.where(hit, distance, 0))
+    place = compute(_point_at, ray, jnp.where(hit, distance, 0))
     met = place + jnp.where(hit, dot(normal, point - place), 0) * normal
     reach = jnp.maximum(size, largest_component(place))
     return Hit(jnp.where(hit, distance, jnp.inf), as_vec(masked(hit, normal)), met, reach)

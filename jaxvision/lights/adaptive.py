@@ -74,7 +74,7 @@ def adaptive_irradiance(
 
 @one_program
 def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Array:
-    def with_order(order: int):
+    def integral_of_order(order: int):
         def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:
             # in units of the longer edge, so that fourth powers stay in range
             u, v = as_vec(light.edge_u), as_vec(light.edge_v)
@@ -91,7 +91,7 @@ def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float
         return jax.vmap(rectangle_irradiance, axes)(light, points, normals)
 
     rule = jnp.max(jax.lax.stop_gradient(_rules(light, points, normals, tolerance)))
-    branches = [*(with_order(order) for order in _ORDERS), closed_form]
+    branches = [*(integral_of_order(order) for order in _ORDERS), closed_form]
     return jax.lax.switch(rule, branches, light, points, normals)
 
 

@@ -154,7 +154,7 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
     above = jnp.floor(row)
     below_share = row - above
 
-    def along(i):
+    def interpolate_line(i):
         over_pole = (i < 0) | (i >= h)
         at = column + jnp.where(over_pole, w / 2, 0)
         left = jnp.floor(at)
@@ -163,7 +163,7 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
         j = left.astype(int)
         return (1 - right_share) * line[j % w] + right_share * line[(j + 1) % w]
 
-    return (1 - below_share) * along(above) + below_share * along(above + 1)
+    return (1 - below_share) * interpolate_line(above) + below_share * interpolate_line(above + 1)
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:

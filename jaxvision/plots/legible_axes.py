@@ -57,7 +57,7 @@ def name_points(
             continue
         label = ", ".join(known)
         extent = np.array([WIDE * len(label), HIGH]) * letters
-        boxes = list(_around(place * whole, extent, below=below))
+        boxes = list(_label_offsets(place * whole, extent, below=below))
         x, y, box = min(boxes, key=lambda one: _covered_area(one[2], taken, drawn, whole))
         taken.append(box)
         axes.annotate(
@@ -147,7 +147,7 @@ def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> No
     axes.set_ylim(np.exp(bottom), np.exp(top))
 
 
-def _around(
+def _label_offsets(
     point: np.ndarray, extent: np.ndarray, *, below: bool
 ) -> Iterator[tuple[float, float, np.ndarray]]:
     """Yield possible offsets of a name from its point, in pt, each with the lower left and upper

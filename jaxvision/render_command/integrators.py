@@ -187,7 +187,7 @@ def _compiled_tile(
     """Return the compiled program for tiles, cached for one combination of settings and structure.
     A scene with the same structure uses the cached program without another compilation. The cache
     does not hold the scene. For a scene with another structure, the cached program is replaced."""
-    return store_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
+    return store_whole(_tile_of(_radiance_function(settings), settings), f"tile {settings!r}")
 
 
 @lru_cache(maxsize=1)
@@ -266,7 +266,7 @@ def _is_wide(scene: Scene, settings: RenderEntry) -> bool:
     return one and varied_surfaces(scene) is not None
 
 
-def _along(settings: RenderEntry) -> RaysOf:
+def _radiance_function(settings: RenderEntry) -> RaysOf:
     """Return the function that computes radiance along rays from a scene and a key, which may both
     be traced by JAX."""
     match settings.integrator:
@@ -304,14 +304,14 @@ def _solve_radiosity(source: SceneFile, settings: RenderEntry) -> tuple[Solve, R
         with _refusals_in_words(source):
             return exchanged(scene, table=table(), rule=_rule(settings, key))
 
-    def along(scene: Scene, key: Key, solution: Solution | None, *_: Any) -> Along:
+    def radiosity_along(scene: Scene, key: Key, solution: Solution | None, *_: Any) -> Along:
         assert solution is not None
         gather = None
         if settings.gather > 0:
             gather = MonteCarlo(jax.random.fold_in(key, 2), settings.gather)
         return radiosity_rays(scene, plan, solution, rule=_rule(settings, key), gather=gather)
 
-    return solve, along
+    return solve, radiosity_along
 
 
 def _check_balance(scene: Scene, plan: Plan, table: Array) -> None:

@@ -86,7 +86,7 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
         >>> round(float(jv.radiance_along(scene, ray)[0]), 4)  # 2 pi x 0.8 x 0.5 / pi
         0.8
     """
-    return _along(scene, sorted_scene(scene), ray, rules_of(scene, rule))
+    return _direct_radiance(scene, sorted_scene(scene), ray, rules_of(scene, rule))
 
 
 class SortedScene(eqx.Module):
@@ -154,7 +154,7 @@ def _meet(
     return Met(ray, encounter, met, patch, *_facing(scene, ray, encounter.shape, met, patch))
 
 
-def _along(
+def _direct_radiance(
     scene: Scene,
     shapes: SortedScene,
     seen: Ray | PixelRay,
@@ -275,11 +275,13 @@ def direct_along(
     """
     shapes = sorted_scene(scene, wide=wide, grazing=grazing)
 
-    def along(ray: Ray | PixelRay, stream: Stream) -> Colour:
-        return _along(scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream)))
+    def radiance_of_ray(ray: Ray | PixelRay, stream: Stream) -> Colour:
+        return _direct_radiance(
+            scene, shapes, ray, rules_of(scene, rule, numbers=numbers_of(stream))
+        )
 
     if threshold is None or shapes.occluders is None:
-        return map_rays(along)
+        return map_rays(radiance_of_ray)
     return _direct_by_order(scene, shapes, rule, threshold)
 
 
@@ -294,7 +296,7 @@ def _direct_by_order(
         if not (can_be_seen(scene.lights[members[0]]) and isinstance(own, Balanced))
     ]
 
-    def along(rays: Ray | PixelRay, stream: Stream) -> Colour:
+    def radiance_of_rays(rays: Ray | PixelRay, stream: Stream) -> Colour:
         leaves, tree = jax.tree.flatten((rays, stream.pixel))
 
         def rules_at(pixel: Word) -> tuple[Rule, ...]:
@@ -340,7 +342,7 @@ def _direct_by_order(
 
         return map_blocks(trace_block, *leaves, size=entries_per_step(TOGETHER))
 
-    return along
+    return radiance_of_rays
 
 
 def _place(shapes: SortedScene, met: Met) -> Place:
@@ -434,7 +436,7 @@ def render(
         scene: Scene, ray: Ray, met: Encounter, number: Array, hit: Hit | None
     ) -> Colour:
         own = rules_of(scene, rule, numbers=(number,))
-        return _along(scene, sorted_scene(scene), ray, own, met, hit)
+        return _direct_radiance(scene, sorted_scene(scene), ray, own, met, hit)
 
     def radiance_under(
         scene: Scene, ray: Ray, met: Encounter, hit: Hit, arriving: Incident

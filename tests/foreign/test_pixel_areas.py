@@ -114,9 +114,9 @@ def test_channels_are_fitted_as_each_alone(parts):
     rng = np.random.default_rng(0)
     grey = [exposed(rng, one) for one in linear]
     calibration = reflectance.calibrate(observed(np.stack(grey, axis=-1)), model="phong")
-    assert [fit.channel for fit in calibration.reported] == ["red", "green", "blue"]
-    for images, fit in zip(grey, calibration.reported, strict=True):
-        alone = reflectance.calibrate(observed(images), model="phong").reported[0]
+    assert [fit.channel for fit in calibration.chosen_fits] == ["red", "green", "blue"]
+    for images, fit in zip(grey, calibration.chosen_fits, strict=True):
+        alone = reflectance.calibrate(observed(images), model="phong").chosen_fits[0]
         np.testing.assert_allclose(
             fit.vector, alone.vector, atol=0.01 * alone.information[0, 0] ** -0.5
         )

@@ -450,7 +450,7 @@ def test_settings_with_steps_of_their_own_are_predicted():
     assert abs(float(four.gain) / float(one.gain) - 1) < 0.03
     assert (float(one.bits), float(four.bits)) == (14, 12)
     for predicted in predict_settings(camera):
-        assert not predicted.judged.missed
+        assert not predicted.main_comparison.missed
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_the_reflectance_calibration_says_that_it_uses_no_flats():
 @pytest.mark.parametrize("light_sd", [0.0, 0.01])
 def test_both_say_alike_whether_images_disagree(light_sd):
     together, alone = both(Sphere(light_sd=light_sd), 1)
-    (fit,) = alone.reported
+    (fit,) = alone.chosen_fits
     assert (fit.design_effect > 1) == (together.robust["grey"].design_effect > 1) == (light_sd > 0)
 
 

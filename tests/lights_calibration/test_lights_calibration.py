@@ -19,7 +19,7 @@ from fitting.lights.outline import Lens, Outline
 from fitting.lights.section import section
 from fitting.reflectance import Camera, from_photographs, photometric_stereo
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.lights import beyond_turns
+from fitting.reflectance.from_images.lights import marginalise_directions
 from fitting.reflectance.from_images.read import across, read_reflectance_observation
 from fitting.reflectance.from_images.samples import View, group, select
 from fitting.reflectance.from_images.signal import Form
@@ -372,15 +372,15 @@ def test_turns_that_err_together_are_marginalised_as_one_gaussian():
     samples = SimpleNamespace(deviation=deviation, saturated=None)
     selection = SimpleNamespace(light=light)
     values = rng.normal(size=(3, 24))
-    left = beyond_turns(values, shifts, samples, selection, 4, prior=prior)
+    left = marginalise_directions(values, shifts, samples, selection, 4, prior=prior)
     wide = np.zeros((24, 8))
     for axis in (0, 1):
         wide[np.arange(24), 2 * light + axis] = shifts[axis] / deviation
     whole = np.eye(24) + wide @ prior @ wide.T
     np.testing.assert_allclose(left @ left.T, values @ np.linalg.solve(whole, values.T), rtol=1e-9)
-    one = beyond_turns(values, shifts, samples, selection, 4)
+    one = marginalise_directions(values, shifts, samples, selection, 4)
     np.testing.assert_allclose(
-        beyond_turns(values, shifts, samples, selection, 4, prior=np.eye(8)), one
+        marginalise_directions(values, shifts, samples, selection, 4, prior=np.eye(8)), one
     )
 
 

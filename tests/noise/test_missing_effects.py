@@ -95,7 +95,7 @@ def test_cameras_of_all_pairs_of_effects_are_predicted_and_what_they_lack_is_nam
         for n, own in enumerate((2 * alone + 2 * pairs)[:CAMERAS]):
             truth = replace(plain, **{name: PRESENT[name] for name in own})
             made = measured(truth, n)
-            for quantity, one in predict(truth, made).judged.agreement.items():
+            for quantity, one in predict(truth, made).main_comparison.agreement.items():
                 inside.setdefault(quantity, []).append(one.p_value > 0.01)
             lacking = own[n % len(own)]
             found = predict(replace(truth, **{lacking: ABSENT[lacking]}), made)
@@ -125,7 +125,7 @@ def test_what_neighbours_share_is_found_beside_other_noise(own, term):
         gain = found.estimates["system_gain"]
         off, error = gain.value - 0.25, gain.standard_error
         assert abs(off) < 3 * error < 0.025
-        later = predict(found, measured(truth, 9018)).judged.agreement
+        later = predict(found, measured(truth, 9018)).main_comparison.agreement
     assert min(one.p_value for one in later.values()) > 1e-3
     assert len(later) == 3
 
@@ -187,7 +187,7 @@ def test_the_camera_over_settings_has_what_was_found_at_each():
                 own = Setting(decibel, "dB", 293.0)
                 frames.append(FramesOfSetting(own, taken(sensor, 10 * n + int(decibel), photons)))
             camera = calibrate_settings(frames)
-            right.append(not any(one.judged.missed for one in predict_settings(camera)))
+            right.append(not any(one.main_comparison.missed for one in predict_settings(camera)))
             best, _ = sensor_at(camera, gain=0.0)
             if name in ("column_dsnu", "full_well"):
                 named.append(abs(float(getattr(best, name)) / size - 1) < 0.2)

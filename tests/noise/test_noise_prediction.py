@@ -134,7 +134,7 @@ def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
     named = []
     for seed in range(5):
         prediction = predict(PLAIN, measured(np.random.default_rng(seed), **PLANTED[effect]))
-        assert prediction.judged.missed
+        assert prediction.main_comparison.missed
         named.append([one.key for one in prediction.missing])
         assert not any(one.is_missed for one in prediction.missing[-1].after.values())
         told = findings(prediction)
@@ -150,7 +150,7 @@ def test_an_effect_of_no_known_kind_is_not_named():
     covariances[:, 1, 0] += 40 * waves[:, 0, 0] * (-1.0) ** np.arange(12)
     bright = replace(made.bright, covariances=jnp.asarray(covariances))
     prediction = predict(PLAIN, replace(made, bright=bright))
-    assert prediction.judged.missed == ["covariances of neighbours"]
+    assert prediction.main_comparison.missed == ["covariances of neighbours"]
     assert NOTHING_KNOWN in findings(prediction)
 
 
@@ -160,14 +160,16 @@ def test_the_report_has_each_level_beside_its_prediction():
     told = section(found)
     assert any("The frames agree with it within their errors" in one for one in told.findings)
     (levels,) = [one for one in told.tables if one.title == "Levels"]
-    assert len(levels.rows) == found.judged.lit.lit.size
+    assert len(levels.rows) == found.main_comparison.lit.lit.size
     for row in (levels.rows[0], levels.rows[-1]):
         assert len(row) == len(levels.columns) == 8
     assert levels.rows[-1][0] == "dark"
     z = [row[4] for row in levels.rows]
-    np.testing.assert_allclose(z, found.judged.residuals[0])
-    np.testing.assert_allclose([row[3] for row in levels.rows], found.judged.found.values[0])
-    np.testing.assert_allclose([row[5] for row in levels.rows], found.judged.measured[1])
+    np.testing.assert_allclose(z, found.main_comparison.residuals[0])
+    np.testing.assert_allclose(
+        [row[3] for row in levels.rows], found.main_comparison.found.values[0]
+    )
+    np.testing.assert_allclose([row[5] for row in levels.rows], found.main_comparison.measured[1])
 
 
 def test_frames_that_are_averages_scatter_too_little():
@@ -188,7 +190,7 @@ def test_light_that_is_known_roughly_widens_the_errors():
     assert "With it the camera alone predicts 12 levels" in first
     assert "; without it they are " in first
     assert not any("differ significantly" in one for one in others)
-    assert not predict(PLAIN, off_lights, light_error=0.01).judged.missed
+    assert not predict(PLAIN, off_lights, light_error=0.01).main_comparison.missed
 
 
 def test_without_photons_the_means_give_the_rate_of_the_light():
@@ -199,8 +201,8 @@ def test_without_photons_the_means_give_the_rate_of_the_light():
     made = replace(made, photons_known=False)
     found = predict(PLAIN, made)
     assert found.unscaled
-    assert not found.judged.missed
-    assert found.judged.agreement["means"].degrees == 17
+    assert not found.main_comparison.missed
+    assert found.main_comparison.agreement["means"].degrees == 17
     assert any("the rate of the light was fitted" in one for one in findings(found))
 
 
@@ -265,7 +267,7 @@ def test_the_prediction_rests_on_the_file_and_on_no_fit(afternoon, monkeypatch):
     wrong = replace(best, gain=1.02 * float(np.asarray(best.gain)))
     monkeypatch.setattr(calibrations, "choose_model", None)
     found = predict(wrong, calibration.measurement)
-    assert "variances" in found.judged.missed
+    assert "variances" in found.main_comparison.missed
     assert found.missing[0].key == "gain"
 
 
@@ -326,8 +328,8 @@ def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
 def test_a_camera_without_a_noise_predicts_means_alone(left_out):
     made = measured(np.random.default_rng(3))
     found = predict(replace(PLAIN, **{left_out: None}), made)
-    assert list(found.judged.agreement) == ["means"]
-    assert found.judged.missed == []
+    assert list(found.main_comparison.agreement) == ["means"]
+    assert found.main_comparison.missed == []
     dark = np.sqrt(np.mean(made.dark.variance))
     assert any(
         f"states no {left_out}" in told and f"{dark:.3g} DN rms in the dark" in told
@@ -345,7 +347,7 @@ def test_draws_of_a_sensor_widen_its_errors_with_and_without_a_read_noise(read_n
     sensor, made = replace(PLAIN, read_noise=read_noise), measured(np.random.default_rng(3))
     factors = jnp.exp(1e-3 * np.random.default_rng(4).standard_normal(50))
     draws = jax.tree.map(lambda number: number * factors, sensor)
-    exact, drawn = (predict(sensor, made, draws=own).judged for own in (None, draws))
+    exact, drawn = (predict(sensor, made, draws=own).main_comparison for own in (None, draws))
     brightest = int(np.argmax(exact.found.electrons))
     added = np.sqrt(drawn.errors[0] ** 2 - exact.errors[0] ** 2)[brightest]
     scatter = float(np.std(np.asarray(factors) ** 2)) * exact.found.signal[brightest]

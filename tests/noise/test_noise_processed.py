@@ -116,9 +116,11 @@ def test_noise_that_was_filtered_is_named(process, keys, words):
 def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
     """Means of gains and offsets of 64 x 64 pixels deviate by 1/64 of PRNU and DSNU."""
     found = predicted(*series(10 + seed, prnu=0.05, dsnu=20.0), sensor=SENSOR_OF_UNEQUAL_PIXELS)
-    assert found.judged.missed == []
-    of_means = found.judged.camera[:16, :16]
-    signal = np.where(np.asarray(found.judged.lit.lit), found.judged.found.by_light[0], 0.0)
+    assert found.main_comparison.missed == []
+    of_means = found.main_comparison.camera[:16, :16]
+    signal = np.where(
+        np.asarray(found.main_comparison.lit.lit), found.main_comparison.found.by_light[0], 0.0
+    )
     by_hand = (np.outer(signal, signal) * 0.05**2 + (GAIN * 20.0) ** 2) / 64**2
     np.testing.assert_allclose(of_means, by_hand, rtol=1e-6)
 
@@ -239,7 +241,7 @@ def test_black_that_was_clipped_above_0_is_predicted(lowest):
     """The camera's own code 0 is below it."""
     frames = series(1)
     found = predicted(*([[np.maximum(one, lowest) for one in x] for x in y] for y in frames))
-    assert found.judged.missed == []
+    assert found.main_comparison.missed == []
     assert any(f"No value of the darks is below {lowest} DN" in one for one in findings(found))
 
 
@@ -299,7 +301,7 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
     for sentences in (findings_of(found), findings(told)):
         assert any("1 level is not used because a part of the pixels" in one for one in sentences)
         assert not any("lens shading" in one for one in sentences)
-    assert told.judged.missed == []
+    assert told.main_comparison.missed == []
 
 
 def transfer(gain_of_darks, *, current=0.0, size=128, count=4, seed=0):

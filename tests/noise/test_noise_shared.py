@@ -80,7 +80,7 @@ def test_what_is_planted_is_found_to_its_size(name, size):
     assert variance.mean() == pytest.approx(size**2, rel=0.05)
     z = (variance - size**2) / np.array([one.error for one in found])
     assert 0.8 < z.std() < 1.25
-    assert all(one.believed for one in found)
+    assert all(one.is_significant for one in found)
 
 
 @pytest.mark.slow
@@ -90,9 +90,9 @@ def test_noise_of_rows_is_no_banding():
     noisy = [judged(rng, rows=4.0) for _ in range(300)]
     z = np.array([one["fixed rows"].variance / one["fixed rows"].error for one in noisy])
     assert abs(z.mean()) < 0.4
-    assert np.mean([one["fixed rows"].believed for one in noisy]) < 0.01
+    assert np.mean([one["fixed rows"].is_significant for one in noisy]) < 0.01
     banded = [judged(rng, rows=4.0, fixed_rows=6.0)["fixed rows"] for _ in range(100)]
-    assert np.mean([one.believed for one in banded]) > 0.95
+    assert np.mean([one.is_significant for one in banded]) > 0.95
     variance = np.array([one.variance for one in banded])
     z = np.log(variance / 36) * variance / np.array([one.error for one in banded])
     assert 0.8 < z.std() < 1.25  # on a logarithmic scale: the error grows with the variance
@@ -102,7 +102,7 @@ def test_drifting_frames_are_found():
     rng = np.random.default_rng(2)
     found = [judged(rng, frames=2.0)["frames"] for _ in range(100)]
     assert np.mean([one.variance for one in found]) == pytest.approx(4.0, rel=0.2)
-    assert np.mean([one.believed for one in found]) > 0.95
+    assert np.mean([one.is_significant for one in found]) > 0.95
 
 
 def test_row_noise_widens_the_pattern():
@@ -186,8 +186,8 @@ def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
         found.append(unequal_gains(measured, usable))
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert 0.7 < np.std(z) < 1.4
-    assert not any(rows.believed for rows, _ in found)
-    assert all(columns.believed for _, columns in found)
+    assert not any(rows.is_significant for rows, _ in found)
+    assert all(columns.is_significant for _, columns in found)
     assert np.mean([columns.variance for _, columns in found]) == pytest.approx(1e-4, rel=0.1)
 
 
@@ -206,9 +206,9 @@ def test_a_flat_of_no_light_hides_no_unequal_gains():
 
     lit, whole = of(flats, photons), of([darks[0], *flats], [0.0, *photons])
     _, columns = unequal_gains(whole, np.arange(5))
-    assert columns.believed
+    assert columns.is_significant
     assert columns == unequal_gains(lit, np.arange(4))[1]
-    assert not unequal_gains(whole, np.arange(1))[1].believed
+    assert not unequal_gains(whole, np.arange(1))[1].is_significant
 
 
 @pytest.mark.slow
@@ -314,9 +314,9 @@ def test_few_frames_of_few_rows_raise_no_alarm():
     for _ in range(500):
         dark, flat, one = told(1.0, 1), told(2.0, 5), quiet()
         alarms += [
-            extra_lines(flat, dark, np.arange(5), 0).believed,
-            drift(one).believed,
-            temporal_lines(one, 0).believed,
+            extra_lines(flat, dark, np.arange(5), 0).is_significant,
+            drift(one).is_significant,
+            temporal_lines(one, 0).is_significant,
         ]
     assert (alarms <= 1).all(), alarms
 
@@ -366,7 +366,7 @@ def test_levels_whose_frames_are_alike_tell_nothing():
     for one, other in zip(found(stacks), found([still, *stacks]), strict=True):
         assert one.variance == pytest.approx(other.variance)
         assert one.significance == pytest.approx(other.significance)
-    assert not any(one.believed or one.variance for one in found([still, still]))
+    assert not any(one.is_significant or one.variance for one in found([still, still]))
 
 
 @pytest.mark.parametrize(("size", "dead"), [((12, 30), 0.0), ((8, 8), 0.0), ((12, 30), 0.2)])

@@ -98,7 +98,7 @@ def check(kind, seed):
             found.best,
             noise.from_frames(*later, camera=camera, channel=site),
             draws=found.draws,
-        ).judged.missed
+        ).main_comparison.missed
         for site in camera.sites
     ]
     return deviations(found.best, found.draws, known, len(camera.sites)), missed
@@ -189,7 +189,7 @@ def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
     sensor, camera = mosaic_sensor(tile, SITES), Camera(bits=12, pattern=phase)
     for site in camera.sites:
         measured = noise.from_frames(flats, darks, exposures, photons, camera=camera, channel=site)
-        judged = noise.predict(sensor, measured).judged
+        judged = noise.predict(sensor, measured).main_comparison
         np.testing.assert_allclose(judged.measured[0], judged.found.values[0], rtol=0.002)
 
 
@@ -205,7 +205,7 @@ def test_taps_that_bear_other_names_than_the_frames_are_refused():
         noise.predict(plain, of_mosaic)
     with pytest.raises(InputError, match=r'state camera\.pattern = "RGGB" of the frames'):
         noise.predict(colours, tap_map)
-    assert noise.predict(plain, tap_map).judged
+    assert noise.predict(plain, tap_map).main_comparison
     assert camera_of_taps(jv.Taps("GRBG", offset=[0.0, 1.0, 2.0])).pattern == "GRBG"
 
 
@@ -221,8 +221,8 @@ def test_taps_of_a_file_are_what_a_rig_stated(stated):
     taps = jv.Taps(
         tuple(map(tuple, tile)),
         names=camera.sites,
-        stretched=camera.in_parts,
-        cell=camera.cell if camera.in_parts else (1, 1),
+        stretched=camera.has_tap_regions,
+        cell=camera.cell if camera.has_tap_regions else (1, 1),
     )
     assert camera_of_taps(taps) == camera
     assert [tap_of(taps, site, camera.pattern) for site in camera.sites] == [
@@ -330,7 +330,7 @@ def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
         for site in camera.sites:
             later = frames(20, tap, light=light, **numbers)
             measured = noise.from_frames(*later, camera=camera, channel=site)
-            assert "variances" not in noise.predict(file, measured).judged.missed
+            assert "variances" not in noise.predict(file, measured).main_comparison.missed
 
 
 @pytest.mark.parametrize("pattern", [None, "RGGB"])

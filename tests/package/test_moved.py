@@ -15,7 +15,10 @@ from fitting.fits.budget import Budget, Share
 from fitting.fits.influence import Influence, Moved
 from fitting.inference import Robustness
 from fitting.noise.calibration import NoiseCalibration
+from fitting.noise.prediction.predict import Prediction
+from fitting.reflectance.from_images.calibration import ReflectanceCalibration
 from fitting.response import Layout
+from fitting.rig import Camera
 from jaxvision.core._moved import MOVED, RENAMED
 
 
@@ -48,6 +51,9 @@ def test_an_old_name_of_a_function_gives_it_and_says_the_new_one(old):
         (Robustness, "by_light", "light_design_effect"),
         (Robustness, "by_pixel", "pixel_design_effect"),
         (NoiseCalibration, "shown", "estimates"),
+        (Camera, "in_parts", "has_tap_regions"),
+        (Prediction, "judged", "main_comparison"),
+        (ReflectanceCalibration, "reported", "chosen_fits"),
     ],
 )
 def test_an_old_name_of_an_attribute_gives_it_and_says_the_new_one(kind, old, new):

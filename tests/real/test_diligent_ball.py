@@ -72,7 +72,7 @@ def test_prediction_is_as_good_as_the_fit(calibration):
 
 @pytest.mark.slow
 def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
-    for fit in calibration.reported:
+    for fit in calibration.chosen_fits:
         assert fit.design_effect > 50
         assert 0.03 < fit.spread.relative < 0.10
     section = reflectance_section(calibration)

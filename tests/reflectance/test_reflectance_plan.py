@@ -42,10 +42,10 @@ def test_a_planned_image_narrows_the_fit_as_foretold():
     """Information of the fit and of one more image against that of the fit with that image."""
     observation = photographs()
     calibration = calibrate(observation, model="phong")
-    before = calibration.reported[0]
+    before = calibration.chosen_fits[0]
     for light in (5, 6):
         held_out = observation.held_out & (np.arange(8) != light)
-        after = calibrate(replace(observation, held_out=held_out), model="phong").reported[0]
+        after = calibrate(replace(observation, held_out=held_out), model="phong").chosen_fits[0]
         added = added_information(observation, before, light)
         foretold = np.sqrt(np.diagonal(np.linalg.inv(before.information + added)))
         reached = np.sqrt(np.diagonal(np.linalg.inv(after.information)))

@@ -20,9 +20,9 @@ from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.lights import (
     StatedErrors,
     add_stated_errors,
-    beyond_turns,
     information_on_turns,
     likeliest_turns,
+    marginalise_directions,
 )
 from fitting.reflectance.from_images.samples import (
     Selection,
@@ -257,7 +257,7 @@ def test_what_turns_leave_is_what_their_elimination_leaves(fitted):
     deviation = np.asarray(found.samples.deviation, float)
     shifts = deviation * rng.standard_normal((2, count)) * np.exp(rng.uniform(-8, 1, count))
     values = rng.standard_normal((3, count))
-    left = beyond_turns(values, shifts, found.samples, found.selection, 5)
+    left = marginalise_directions(values, shifts, found.samples, found.selection, 5)
     expected = np.zeros((3, 3))
     for one in range(5):
         own = light == one

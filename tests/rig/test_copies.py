@@ -78,7 +78,7 @@ def test_white_frames_with_dead_pixels_say_nothing():
     grey = rng.uniform(0, 255, (40, 40))
     for name in ("c", "d", "e"):
         copies.add(name, grey)
-    assert copies.found == [["c", "d", "e"]]
+    assert copies.equal_groups == [["c", "d", "e"]]
 
 
 def test_one_set_of_darks_under_all_exposures_gives_no_dark_current():

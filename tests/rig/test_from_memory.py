@@ -267,7 +267,7 @@ def test_the_reflectance_is_that_of_the_files(lab):
         calibrate_reflectance(observation, model="phong")
         for observation in (ours, read_reflectance_observation(rig))
     ]
-    for a, b in zip(*(result.reported for result in results), strict=True):
+    for a, b in zip(*(result.chosen_fits for result in results), strict=True):
         np.testing.assert_array_equal(a.vector, b.vector)
         np.testing.assert_array_equal(a.robustness.covariance, b.robustness.covariance)
 

@@ -64,13 +64,13 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
         return ()
     sums: dict[str, Agreement] = {}
     for one in predictions:
-        for name, own in one.judged.agreement.items():
+        for name, own in one.main_comparison.agreement.items():
             before = sums.get(name, Agreement(0.0, 0.0))
             sums[name] = Agreement(before.chi_square + own.chi_square, before.degrees + own.degrees)
     ratios = listed(
         [f"{one.ratio:.3g} ({format_p(one.p_value)}) for {name}" for name, one in sums.items()]
     )
-    levels = sum(one.judged.lit.lit.size for one in predictions)
+    levels = sum(one.main_comparison.lit.lit.size for one in predictions)
     kept = all(one.labels == ("levels kept out of its fit",) for one in predictions)
     which = "which were held out in a second fit,"
     if not kept:
@@ -79,8 +79,8 @@ def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
         f"The camera over all settings alone predicts {levels} levels of {len(predictions)} "
         f"settings, {which} with chi-squares per degree of freedom of {ratios}."
     ]
-    missed = [one for one in predictions if one.judged.missed]
-    missed.sort(key=lambda one: -max(part.ratio for part in one.judged.agreement.values()))
+    missed = [one for one in predictions if one.main_comparison.missed]
+    missed.sort(key=lambda one: -max(part.ratio for part in one.main_comparison.agreement.values()))
     words += [f"At {one.camera}: {' '.join(explanations(one))}" for one in missed[:SHOWN]]
     if len(missed) > SHOWN:
         others = ", ".join(one.camera for one in missed[SHOWN:])
@@ -93,7 +93,7 @@ def table(predictions: tuple[Prediction, ...]) -> Table:
     rows = tuple(
         (one.camera, one.labels[0], name, own.degrees, own.ratio, own.p_value)
         for one in predictions
-        for name, own in one.judged.agreement.items()
+        for name, own in one.main_comparison.agreement.items()
     )
     return Table(
         "What the camera over its settings predicts",

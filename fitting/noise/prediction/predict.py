@@ -2,6 +2,7 @@
 calibration."""
 
 import os
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -79,13 +80,20 @@ class Prediction(ShownInNotebooks):
     cause: str = ""
 
     @property
-    def judged(self) -> Comparison:
+    def main_comparison(self) -> Comparison:
+        """The first comparison, from which findings are drawn."""
         return self.comparisons[0]
+
+    @property
+    def judged(self) -> Comparison:
+        """Former name of `main_comparison`."""
+        warnings.warn("judged is now main_comparison.", DeprecationWarning, stacklevel=2)
+        return self.main_comparison
 
     @property
     def unscaled(self) -> bool:
         """Whether the rate of the light was fitted to the means."""
-        return self.judged.unscaled
+        return self.main_comparison.unscaled
 
 
 @double_precision
@@ -126,7 +134,7 @@ def predict(
         >>> flats = [frames(i, light) for i, light in enumerate(photons)]
         >>> at = {"camera": Camera(bits=12), "dark_exposures": [1.0]}
         >>> measured = from_frames(flats, [frames(9, 0.0)], [1.0] * 4, photons, **at)
-        >>> predict(sensor, measured).judged.missed  # nothing
+        >>> predict(sensor, measured).main_comparison.missed  # nothing
         []
     """
     require_kind("noise.predict: measurement", measurement, PhotonTransfer, source="from_frames")

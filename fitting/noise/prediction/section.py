@@ -32,13 +32,13 @@ def section(prediction: Prediction) -> Section:
         findings=findings(prediction),
         pictures=(picture(prediction),),
         tables=(table(prediction), levels_table(prediction)),
-        about=f"{name} and {len(prediction.judged.lit.lit)} levels of light and dark.",
+        about=f"{name} and {len(prediction.main_comparison.lit.lit)} levels of light and dark.",
     )
 
 
 def findings(prediction: Prediction) -> tuple[str, ...]:
     """Return sentences on how well the camera predicts the frames."""
-    judged = prediction.judged
+    judged = prediction.main_comparison
     lit = int(np.sum(np.asarray(judged.lit.lit)))
     dark = judged.lit.lit.size - lit
     levels = f"{lit} levels of light" + (f" and {dark} of dark" if dark else "")
@@ -88,9 +88,9 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
 def explanations(prediction: Prediction) -> list[str]:
     """Return sentences on the quantities that disagree and on the most likely cause; empty if none
     disagrees."""
-    agreement = prediction.judged.agreement
+    agreement = prediction.main_comparison.agreement
     sentences = []
-    far = {name: agreement[name] for name in prediction.judged.missed}
+    far = {name: agreement[name] for name in prediction.main_comparison.missed}
     less = {name: one for name, one in far.items() if one.ratio < 1}
     more = {name: one for name, one in far.items() if one.ratio > 1}
     if less:
@@ -153,7 +153,7 @@ def table(prediction: Prediction) -> Table:
 
 def levels_table(prediction: Prediction) -> Table:
     """Return the table of observed and predicted mean and variance at each level."""
-    judged = prediction.judged
+    judged = prediction.main_comparison
     lit, values, missed = judged.lit, judged.found.values, judged.residuals
     several = range(2 if len(judged.agreement) > 1 else 1)
     light = "light (its rate fitted)" if prediction.unscaled else "light [photons]"
@@ -195,7 +195,7 @@ def residual_figure(prediction: Prediction) -> "Figure":
     """Draw the residuals over the signal, with a panel for each quantity."""
     from matplotlib.figure import Figure
 
-    judged = prediction.judged
+    judged = prediction.main_comparison
     figure = Figure(figsize=(5.4, 1.5 + 1.3 * len(judged.agreement)), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(judged.agreement), 1, sharex=True))
     signal, lit = judged.found.signal, np.asarray(judged.lit.lit) > 0

@@ -192,7 +192,7 @@ class _Search:
         return (0.0, 0.0) if self.model == "lambert" else log_range(self.model)
 
     @cached_property
-    def wanted(self) -> np.ndarray:
+    def compared_values(self) -> np.ndarray:
         return compared_quantity(self.measured, self.objective, self.measured.values)
 
     def columns(self, log_shapes: Any) -> Array:
@@ -214,7 +214,7 @@ class _Search:
         parameters = self.model, diffuse, specular, shape
         predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
         predicted = np.broadcast_to(predicted, measured.values.shape)
-        missed = compared_quantity(measured, self.objective, predicted) - self.wanted
+        missed = compared_quantity(measured, self.objective, predicted) - self.compared_values
         cost = float(np.sum((kept * measured.weights)[:, None] * missed**2))
         return LobeFit(*parameters, predicted, cost, converged=True)
 
@@ -270,7 +270,7 @@ class _Search:
         for _ in range(MOST_STEPS):
             root = np.cbrt(cosine * best.predicted + dark)
             slope = cosine / (3 * root**2)
-            goal, pull = best.predicted + (self.wanted - root) / slope, weights * slope**2
+            goal, pull = best.predicted + (self.compared_values - root) / slope, weights * slope**2
             here = 0.0 if best.shape is None else float(np.log(best.shape))
             diffuse, specular, shape = self.separable(goal, pull, (here - reach, here + reach))
             away = 0.0 if shape is None else float(np.log(shape)) - here

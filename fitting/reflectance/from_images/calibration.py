@@ -1,5 +1,6 @@
 """Fit reflectance models to the photographs of a rig, and find their unidentifiable parameters."""
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -92,13 +93,20 @@ class ReflectanceCalibration(ShownInNotebooks):
     minimum_cosine: float
 
     @property
-    def reported(self) -> tuple[ChannelFit, ...]:
+    def chosen_fits(self) -> tuple[ChannelFit, ...]:
+        """The fits of the chosen model, one for each channel."""
         return self.fits[self.model]
+
+    @property
+    def reported(self) -> tuple[ChannelFit, ...]:
+        """Former name of `chosen_fits`."""
+        warnings.warn("reported is now chosen_fits.", DeprecationWarning, stacklevel=2)
+        return self.chosen_fits
 
     @property
     def gamma(self) -> float | None:
         """Return the fitted encoding exponent of the first channel; None if it was not fitted."""
-        fit = self.reported[0]
+        fit = self.chosen_fits[0]
         return float(fit.natural[-1]) if fit.form.free_gamma else None
 
 
@@ -388,7 +396,7 @@ def _relative(calibration: ReflectanceCalibration, *, axis: int) -> np.ndarray:
     shape = observation.cosine.shape
     difference, total = np.zeros(shape), np.zeros(shape)
     lit = observation.cosine > calibration.minimum_cosine
-    for channel, fit in enumerate(calibration.reported):
+    for channel, fit in enumerate(calibration.chosen_fits):
         seen = lights_as_fitted(observation, fit)
         for light in range(len(observation.files)):
             used = lit[light] & (observation.dn[channel, light] < observation.clip)

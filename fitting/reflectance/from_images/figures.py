@@ -28,7 +28,7 @@ MOST_POINTS = 200_000
 def images_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Draw three rows of images: measured, predicted, and their difference. Columns are lights."""
     observation = calibration.observation
-    as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.reported]
+    as_fitted = [(lights_as_fitted(observation, fit), fit) for fit in calibration.chosen_fits]
 
     def images_of(light: int) -> tuple[np.ndarray, ...]:
         measured = observation.dn[:, light] - observation.black
@@ -90,7 +90,7 @@ def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     diffuse, specular = figure.subplots(1, 2)
-    for fit in calibration.reported:
+    for fit in calibration.chosen_fits:
         _draw_terms(calibration, fit, diffuse, specular)
     diffuse.set(
         xlabel="n·l, cosine of incidence",

@@ -44,7 +44,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     """Return all findings about a reflectance calibration."""
     return (
         *evaluate_findings(GIVEN, calibration),
-        *said_of_channels(OF_CHANNEL, calibration, calibration.reported),
+        *said_of_channels(OF_CHANNEL, calibration, calibration.chosen_fits),
         *evaluate_findings(OF_ALL, calibration),
     )
 
@@ -156,7 +156,7 @@ def _report_rotations(
     """
     sizes = {
         fit.channel: f"{fit.turned.size:.2g}"
-        for fit in calibration.reported
+        for fit in calibration.chosen_fits
         if fit.turned is not None
         and fit.turned.followed == followed
         and (fit.turned.widened > 1 or not wider)
@@ -201,7 +201,7 @@ def _coloured_highlight(calibration: ReflectanceCalibration, *, by_all: bool) ->
     """Report unequal k_s under calibrated intensities, which is unexpected because a clear surface
     reflects the colour of the light. All lobes that predict equally well must agree.
     """
-    reported, fits = _colour(calibration.reported), calibration.reported
+    reported, fits = _colour(calibration.chosen_fits), calibration.chosen_fits
     if reported is None or any(f.channel not in calibration.posteriors for f in fits):
         return None
     logs, errors = reported
@@ -285,19 +285,19 @@ def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
     """Report a misfit that is the same under all lights, such as that of a textured surface. Other
     misfits decrease in the average over lights.
     """
-    misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
+    misfits = [fit.spread.relative for fit in calibration.chosen_fits if fit.spread.relative]
     own = float(np.nanstd(mean_residual(calibration)))
-    if len(misfits) < len(calibration.reported) or own < TEXTURED * np.mean(misfits):
+    if len(misfits) < len(calibration.chosen_fits) or own < TEXTURED * np.mean(misfits):
         return None
     return {"share": format_percent(own, decimals=1)}
 
 
 def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
     """Report a misfit that a factor on each image's brightness explains."""
-    misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
+    misfits = [fit.spread.relative for fit in calibration.chosen_fits if fit.spread.relative]
     factors = residual_of_images(calibration)
     factors = factors[np.isfinite(factors)]
-    if len(misfits) < len(calibration.reported) or factors.size < FEWEST_IMAGES:
+    if len(misfits) < len(calibration.chosen_fits) or factors.size < FEWEST_IMAGES:
         return None
     own = float(np.std(factors))
     if own < max(TEXTURED * np.mean(misfits), NOTABLE_RESIDUAL):
@@ -314,7 +314,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     change them."""
     observation = calibration.observation
     granted = []
-    if observation.gamma is None and not calibration.reported[0].form.free_gamma:
+    if observation.gamma is None and not calibration.chosen_fits[0].form.free_gamma:
         granted.append("linear files (give camera.gamma, or --fit-gamma, for sRGB pictures)")
     if (np.ptp(observation.falloff, axis=1) == 0).all():
         granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
@@ -340,7 +340,7 @@ def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
     observation = calibration.observation
     light, pixel = np.nonzero(observation.cosine < SHADOWED)
     glow = []
-    for i, fit in enumerate(calibration.reported):
+    for i, fit in enumerate(calibration.chosen_fits):
         dark = light_in_shadows(observation, i)
         if dark is None or fit.form.ambient:
             return None
@@ -461,7 +461,7 @@ OF_ALL = (
     ),
     Finding(
         "clear facets",
-        lambda c: quoted([facet_sentence(c.reported[0].requested.index)] * (c.model in CLEAR)),
+        lambda c: quoted([facet_sentence(c.chosen_fits[0].requested.index)] * (c.model in CLEAR)),
         "{sentence}",
     ),
     Finding(
@@ -564,7 +564,7 @@ def misfit_table(calibration: ReflectanceCalibration) -> Table:
             "design effect in pixels",
             "effective samples",
         ),
-        rows=tuple(row(fit) for fit in calibration.reported),
+        rows=tuple(row(fit) for fit in calibration.chosen_fits),
         caption="A dash stands for what is unknown or not needed; a design effect of 1 means "
         "independent residuals.",
     )

@@ -150,7 +150,7 @@ def information_on_turns(
     return np.asarray(block_diag(*np.moveaxis(np.array(products), -1, 0)))
 
 
-def beyond_turns(
+def marginalise_directions(
     values: Float[np.ndarray, "rows samples"],
     shifts: Shifts,
     samples: Samples,
@@ -343,7 +343,9 @@ def stated_errors(
         if turnable is None:
             return values
         prior = observation.turn_prior
-        return beyond_turns(values, turnable, samples, view.selection, lights, prior=prior)
+        return marginalise_directions(
+            values, turnable, samples, view.selection, lights, prior=prior
+        )
 
     slopes = marginalise_turns(scores_and_slopes(prediction, samples)[1])
     of_lights = [

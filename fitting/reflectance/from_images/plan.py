@@ -34,13 +34,13 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
     """Rank lights by the reduction of the error of a parameter of the reported model, in each
     channel whose parameters are all determined. Raises `InputError` if the model has no such
     parameter, and if no channel has all its parameters determined."""
-    check_target(target, calibration.reported[0].requested)
+    check_target(target, calibration.chosen_fits[0].requested)
     rigs = calibration.observation
     new, described = _candidate_lights(rigs)
     lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
     lights += [(name, new, i) for i, name in enumerate(described)]
     plans = {}
-    for fit in calibration.reported:
+    for fit in calibration.chosen_fits:
         known = names(fit.space)
         if fit.channel not in calibration.posteriors or fit.robustness is None:
             continue

@@ -29,10 +29,10 @@ from .signal import parameter_space
 def section(calibration: ReflectanceCalibration) -> Section:
     """Report a calibrated reflectance: estimates, findings, tables and pictures."""
     observation = calibration.observation
-    held_out, index = int(observation.held_out.sum()), calibration.reported[0].requested.index
+    held_out, index = int(observation.held_out.sum()), calibration.chosen_fits[0].requested.index
     return section_of_photographs(
         calibration,
-        calibration.reported,
+        calibration.chosen_fits,
         [score for score in calibration.scores if score.model == calibration.model],
         kind="brdf",
         title="Reflectance",
@@ -42,7 +42,7 @@ def section(calibration: ReflectanceCalibration) -> Section:
         tables=(
             comparison_table(calibration.scores, held_out),
             misfit_table(calibration),
-            *left_out_tables((fit.channel, fit.stated.left_out) for fit in calibration.reported),
+            *left_out_tables((fit.channel, fit.stated.left_out) for fit in calibration.chosen_fits),
         ),
         settings={
             "samples per channel": len(calibration.fitted.light),
@@ -96,7 +96,7 @@ def section_of_photographs(
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
     rows: list[Estimate] = []
-    for fit in calibration.reported:
+    for fit in calibration.chosen_fits:
         if fit.channel in calibration.posteriors:
             rows += determined_estimates(calibration.posteriors[fit.channel], fit.channel, {})
             continue

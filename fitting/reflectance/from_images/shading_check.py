@@ -116,7 +116,7 @@ def drop_strangers(observation: Photographs) -> Photographs:
     size = np.linalg.norm(g, axis=1)
     off = _angles(g / size[:, None], _stated_directions(observation))
     names = list(observation.files)
-    for copies in _copies(observation).found:
+    for copies in _copies(observation).equal_groups:
         places = [names.index(name) for name in copies]
         best = min(places, key=lambda i: (not known[i], off[i]))
         reasons |= {
@@ -208,10 +208,10 @@ def _copies(observation: Photographs) -> Copies:
 def _copies_findings(observation: Photographs) -> list[str]:
     """Report images with equal numbers, which noise rules out for two exposures."""
     copies = _copies(observation)
-    if not copies.found:
+    if not copies.equal_groups:
         return []
     named = "; ".join(
-        ", ".join(files[:5]) + (" ..." if len(files) > 5 else "") for files in copies.found
+        ", ".join(files[:5]) + (" ..." if len(files) > 5 else "") for files in copies.equal_groups
     )
     return [
         f"Images of equal numbers are copies of one exposure: {named}. Every copy counts as "

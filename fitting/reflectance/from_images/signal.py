@@ -115,12 +115,15 @@ def local_geometry(
         middle = jnp.mean(wi, axis=1)
         across = local_frame(as_vec(middle / jnp.linalg.norm(middle, axis=1, keepdims=True)))
 
-        def along(t: Array) -> Vec:
+        def derivative_along(t: Array) -> Vec:
             return local_direction(
                 t[:, None] - jnp.sum(t[:, None] * wi, axis=2, keepdims=True) * wi
             )
 
-        turned = along(as_array(across.tangent)), along(as_array(across.bitangent))
+        turned = (
+            derivative_along(as_array(across.tangent)),
+            derivative_along(as_array(across.bitangent)),
+        )
     view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
     return Geometry(local_direction(wi), local_direction(view), jnp.asarray(irradiance), turned)
 

@@ -62,18 +62,18 @@ def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarra
             f"{file}: its first line, {lines[first].strip()[:40]!r}, holds numbers and no heads; "
             "begin with a line of heads, as in wavelength,value."
         )
-    along = _along(file, heads)
-    others = [head for place, head in enumerate(heads) if place != along]
+    wavelengths = _wavelength_column(file, heads)
+    others = [head for place, head in enumerate(heads) if place != wavelengths]
     if column is not None and column not in others:
         raise InputError(f"{file}: no column {column!r}; {nearest(column, others)}.")
     wanted = _value_column(file, others, quantity) if column is None else column
-    at = next(n for n, head in enumerate(heads) if head == wanted and n != along)
+    at = next(n for n, head in enumerate(heads) if head == wanted and n != wavelengths)
     rows = []
     for number, line in enumerate(lines[first + 1 :], first + 2):
         if line.strip():
             cells = _cells(line)
             try:
-                rows.append((float(cells[along]), float(cells[at])))
+                rows.append((float(cells[wavelengths]), float(cells[at])))
             except (ValueError, IndexError):
                 raise InputError(
                     f"{file}, line {number}: {line.strip()[:40]!r} has no number for {wanted!r}; "
@@ -91,7 +91,7 @@ def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarra
     is_percent = "%" in wanted or _words(wanted) & {"percent", "pct"}
     if is_percent and quantity == "reflectance":
         values = values / 100
-    return _metres(file, heads[along], given, values, quantity)
+    return _metres(file, heads[wavelengths], given, values, quantity)
 
 
 def _cells(line: str) -> list[str]:
@@ -111,7 +111,7 @@ def _words(head: str) -> set[str]:
     return set(re.findall(r"[^\W\d_]+", head.lower())) or {""}
 
 
-def _along(file: Path, heads: list[str]) -> int:
+def _wavelength_column(file: Path, heads: list[str]) -> int:
     """Return the first column named as wavelengths or by their unit, or the first."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH

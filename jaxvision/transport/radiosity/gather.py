@@ -88,7 +88,7 @@ def radiosity_along(
     """
     enclosure = _enclosure_of(scene, plan, solution)
     rules = rules_of(scene, rule, count=len(enclosure.sources))
-    return _along(enclosure, ray, rules, gather)
+    return _radiance_along(enclosure, ray, rules, gather)
 
 
 def radiosity_rays(
@@ -111,13 +111,13 @@ def radiosity_rays(
     """
     enclosure = _enclosure_of(scene, plan, solution)
 
-    def along(ray: Ray, stream: Stream) -> Colour:
+    def radiance_of_ray(ray: Ray, stream: Stream) -> Colour:
         numbers = numbers_of(stream)
         rules = rules_of(scene, rule, numbers=numbers, count=len(enclosure.sources))
         own_gather = None if gather is None else reduce(rule_for, numbers, gather)
-        return _along(enclosure, ray, rules, own_gather)
+        return _radiance_along(enclosure, ray, rules, own_gather)
 
-    return map_rays(along)
+    return map_rays(radiance_of_ray)
 
 
 def radiosity_image(
@@ -213,7 +213,7 @@ class _Met(eqx.Module):
     weights: Float[Array, " 4"]
 
 
-def _along(
+def _radiance_along(
     enclosure: _Enclosure, ray: Ray, rules: Sequence[Rule], gather: MonteCarlo | None
 ) -> Colour:
     met = _meet(enclosure, ray)
@@ -237,7 +237,11 @@ def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
     surface = jnp.maximum(encounter.shape, 0)
     behind = dot(hit.normal, ray.direction) > 0
     around, weights = materialise(
-        partial(_around, enclosure), enclosure.solution.covered, hit, encounter, behind
+        partial(_surrounding_elements, enclosure),
+        enclosure.solution.covered,
+        hit,
+        encounter,
+        behind,
     )
     return _Met(
         hit.distance,
@@ -268,7 +272,7 @@ def _gather_irradiance(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> 
     return scan(jax.checkpoint(add), nothing, points)[0] / gather.samples
 
 
-def _around(
+def _surrounding_elements(
     enclosure: _Enclosure,
     covered: Bool[Array, " elements"],
     hit: Hit,
