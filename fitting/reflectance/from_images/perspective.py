@@ -10,16 +10,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxvision.core._vector import as_vec
-from jaxvision.geometry.hemisphere import local_frame, to_local
-
 from .read import Photographs
 from .samples import Samples, Selection, predict
-from .signal import Geometry, Vector
+from .signal import Vector, local_geometry
 
 STEPS, SMALL = 4, 1e-3  # Gauss-Newton steps, and the difference in 1 / D for a slope
 
@@ -80,14 +77,13 @@ def _from_nearby(
 ) -> Callable[[float], np.ndarray]:
     """Return the function from 1 / D to the predicted DN at the middle of each pixel."""
     light, pixel = selection.light, selection.pixel
-    frame = local_frame(as_vec(jnp.asarray(observation.normals[pixel])))
-    wi = to_local(frame, as_vec(jnp.asarray(observation.wi[light, pixel])))
+    normals, wi = observation.normals[pixel], observation.wi[light, pixel]
 
     def predicted(inverse: float) -> np.ndarray:
         toward = np.stack([*(-inverse * place), np.ones_like(place[0])], axis=-1)
         toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
-        wo = to_local(frame, as_vec(jnp.asarray(toward)))
-        geometry = Geometry(as_vec(wi), as_vec(wo), samples.geometry.irradiance)
+        geometry = local_geometry(normals, wi, samples.geometry.irradiance, toward=toward)
+        geometry = jax.tree.map(np.asarray, geometry)
         near = replace(samples, offset=None, points=(), geometry=geometry)
         return np.asarray(predict(vector, near).dn)
 

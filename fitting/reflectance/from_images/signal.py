@@ -98,8 +98,10 @@ def local_geometry(
     irradiance: Float[Array | np.ndarray, "*of"],
     *,
     turns: bool = False,
+    toward: Float[Array | np.ndarray, "*of 3"] | None = None,
 ) -> Geometry:
-    """Return the directions of light and viewer in the local frames of normals.
+    """Return the directions of light and viewer in the local frames of normals. `toward` are unit
+    vectors to a camera nearby; without them the camera is far away.
 
     With `turns`, the geometry also has the derivatives of `wi` with respect to rotations of the
     light. The normals then are (images, cells).
@@ -124,7 +126,9 @@ def local_geometry(
             derivative_along(as_array(across.tangent)),
             derivative_along(as_array(across.bitangent)),
         )
-    view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
+    if toward is None:
+        toward = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
+    view = jnp.asarray(toward)
     return Geometry(local_direction(wi), local_direction(view), jnp.asarray(irradiance), turned)
 
 
