@@ -45,7 +45,7 @@ def calibrated(inverse):
 
 
 def estimate(calibration):
-    (fit,) = calibration.reported
+    (fit,) = calibration.chosen_fits
     return camera_nearness(calibration.observation, fit.vector, fit.samples, calibration.fitted)
 
 

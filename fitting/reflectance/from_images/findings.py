@@ -325,7 +325,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
 
 def _perspective(calibration: ReflectanceCalibration) -> Numbers | None:
     """Report highlights that lie where a camera nearby would see them."""
-    fit = max(calibration.reported, key=lambda own: float(np.mean(own.samples.dn)))
+    fit = max(calibration.chosen_fits, key=lambda own: float(np.mean(own.samples.dn)))
     if not has_lobe(fit.form.model) or not fit.converged:
         return None
     near = camera_nearness(calibration.observation, fit.vector, fit.samples, calibration.fitted)
