@@ -384,7 +384,7 @@ def test_images_of_another_brightness_are_named_as_such(monkeypatch, factors, to
     each = factors * np.array([1.0, -1.0, 0.9, -1.1, 1.2, -1.0])
     monkeypatch.setattr(of_images, "residual_of_images", lambda calibration: each)
     misfit = SimpleNamespace(spread=SimpleNamespace(relative=0.12))
-    found = of_images._brightness(SimpleNamespace(reported=[misfit]))
+    found = of_images._brightness(SimpleNamespace(chosen_fits=[misfit]))
     assert (found is not None) == told
     if told:
         assert found["share"].startswith("12")
