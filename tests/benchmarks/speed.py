@@ -206,8 +206,9 @@ mattes, and SciPy for fits.
 - **First picture.** Of the 2.8 s of the second process, importing JAX takes .45 s, importing
   jaxvision and its other libraries .4 s, loading the compiled program .4 to .8 s, and rendering
   .7 s. Mitsuba's whole process takes 1.4 s. The first process also compiles for 3 to 4 s.
-- **First fit.** SciPy searches from one start, jaxvision from 16, and compiles two programs.
-- **Meshes.** Embree traces the rays, but its Python binding takes them one by one: 5.7 of 9 ms.
+- **First fit.** SciPy searches from one start, jaxvision from 16. It imports JAX and compiles.
+- **Meshes.** Embree traces the rays, but its Python binding passes them one by one, which took
+  5.7 of 12 ms in a profile.
 - **Histograms.** XLA adds one count after the other: .29 ms for 512 x 512 codes, on one core.
   `numpy.bincount` takes .30 ms. OpenCV counts in several tables, on all cores.
 - **Separable filters.** XLA stores the picture between the two passes, and a picture of
