@@ -1,4 +1,4 @@
-"""State the fits that a rig allows as problems whose settings can be varied."""
+"""State the calibrations of a rig as problems of accuracy, whose settings can be varied."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ def fits_of(rig: Rig) -> tuple[str, ...]:
 def problems(
     rig: Rig, *, load: Load = read_image, seconds: float = np.inf
 ) -> dict[str, tuple[Problem, tuple[str, ...]]]:
-    """State the fits that a rig allows as problems whose settings can be varied.
+    """State the calibrations of a rig as problems of accuracy, whose settings can be varied.
 
     Args:
         rig: from `load_rig`.

@@ -126,8 +126,8 @@ def squared_ratios(
 ) -> Float[np.ndarray, " candidates"]:
     """Return the squared Wald ratio of each candidate, 0 if the data do not determine it.
 
-    Some candidates are absent at the lower end of their range: a positive scale (`log`) at 0, or a
-    value at its lower bound. Their ratio is 1 / sd(u), with u the unconstrained value."""
+    A candidate may have its absent value at the lower end of its range: 0 for a positive scale, or
+    the lower bound. Its ratio is then 1 / sd(u), with u the unconstrained value."""
     at = jnp.asarray(vector)
     natural, slope = jax.jvp(lambda u: to_natural(space, u), (at,), (jnp.ones_like(at),))
     natural, slope = np.asarray(natural, np.float64), np.asarray(slope, np.float64)

@@ -141,8 +141,8 @@ def _decode_photographs(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Photographs, bool]:
     """Return the photographs, decoded if they are in sRGB, and whether to fit an exponent, by
-    least-squares fits of one channel. Another curve is refused: black level and exponent would
-    describe it with a biased surface.
+    least-squares fits of one channel. A curve that is neither sRGB nor a power is refused, because
+    a fitted black level and exponent would imitate it and bias the surface.
     """
     chosen = select(observation, held_out=False, form=form)
     cells, view = cells_of(observation, chosen), View(observation, channel, chosen)

@@ -190,9 +190,9 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
 def _usual_errors(
     missed: Float[np.ndarray, " pixels"], predicted: Float[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Return the median error of the pixels that are predicted as bright as each pixel, and at
-    least that of all, DN. Shot noise makes bright pixels noisier, and those that clip elsewhere are
-    predicted from dark exposures."""
+    """Return, for each pixel, the median error in DN of the pixels with the same prediction, but no
+    less than the median of all. Bright pixels have more shot noise. Pixels that clip in longer
+    exposures are predicted from dark ones."""
     usual = np.empty(len(missed))
     for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS):
         usual[group] = np.median(missed[group])

@@ -94,7 +94,7 @@ def hue_angle(a: Scalars, b: Scalars) -> Scalars:
 
 
 def reduce_turn(hue: Scalars, turn: float) -> Scalars:
-    """Return the hue with a full turn replaced by 0. Rounding can make a full turn of values just
-    below it.
+    """Return the hue, with 0 in place of a full turn. Rounding can turn a value just below a full
+    turn into a full turn.
     """
     return hue - jnp.where(hue >= turn, turn, 0)

@@ -277,8 +277,8 @@ def _form_factors(sums: Sums) -> np.ndarray:
 
 
 def _lies_in_front(plane: tuple, other: tuple | None) -> bool:
-    """Return whether a part of an unbounded surface, which may be a plane, lies in front of a
-    one-sided surface."""
+    """Return whether a part of an unbounded surface lies in front of a plane. `other` is the plane
+    of that surface, None if it is curved."""
     point, normal = plane
     if other is None or not np.allclose(np.abs(other[1] @ normal), 1):
         return True

@@ -123,7 +123,8 @@ def _lobes(
 def _small_light_suprema(
     sums: Sums, k: int, place: Source, area: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the suprema, (c, bands), of small light from diffuse parts and from lobes."""
+    """Return the suprema, (c, bands), of the radiance that a light of small size adds to each cell:
+    by diffuse reflection and by lobes."""
     lobes = [own.lobe for own in sums.reflections]
     body, lobe = geometry_of(sums, place, np.zeros(len(lobes)), lobes)
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]

@@ -207,9 +207,9 @@ def radial_blur(
 ) -> Filtered:
     """Compute the mean over the pixels within `radius`, weighted by profile(distance, scale[p]).
 
-    The result is exact for kernels that depend on the distance alone. Pixels at the same distance
-    have the same weight and are summed first, so the profile is evaluated once for each ring, not
-    for each tap. If all weights of a pixel are 0, the pixel keeps its value.
+    The result is the exact weighted mean. Pixels at the same distance have the same weight and are
+    summed first, so the profile is evaluated once for each ring, not for each tap. If all weights
+    of a pixel are 0, the pixel keeps its value.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

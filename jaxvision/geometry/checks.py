@@ -1,5 +1,5 @@
-"""Checks of shapes: messages about invalid shapes for files and command lines, before tracing.
-NumPy; lengths in metres."""
+"""Return messages about invalid geometric shapes. File readers and commands call these checks
+before rays are traced. The checks use NumPy, with lengths in metres."""
 
 import jax
 import numpy as np

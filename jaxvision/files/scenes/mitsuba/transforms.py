@@ -25,7 +25,7 @@ def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> 
 
 
 def check_attributes(given: Mapping[str, str], known: tuple[str, ...], place: str) -> None:
-    """Raise `InputError` for an attribute that nothing reads, or a value beside coordinates."""
+    """Raise `InputError` for an attribute that nothing reads, or for `value` beside x, y, z."""
     for name in given:
         if name not in ("name", "id", *known):
             raise InputError(f"{place}: the attribute {name} is not read; correct or remove it.")
