@@ -127,7 +127,7 @@ _WORDS = {
     "lerp linear_blend alpha_blend": "point_ops.blend",
     "dissolve crossfade": "point_ops.cross_dissolve",
     "grayscale to_gray rgb2gray grey luma": "colour_spaces.luminance",
-    "color_space": "colour_spaces",
+    "color_space": "colour_spaces.change_rgb_space colour_spaces.rgb_to_xyz",
     "cie_xyz xyz": "colour_spaces.rgb_to_xyz",
     "metamerism metamer": "colour_spaces.observer spectra.rgb_to_reflectance",
     "lab cielab": "colour_spaces.xyz_to_lab",
