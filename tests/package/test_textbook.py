@@ -20,6 +20,7 @@ NOTIONS = Path(__file__).parents[2] / "docs" / "notions.md"
 
 
 def is_public(name):
+    """Whether the site's reference has this name, as it has functions and classes, not modules."""
     for root in ("jaxvision", "fitting"):
         module, _, last = f"{root}.{name}".rpartition(".")
         try:
@@ -27,7 +28,7 @@ def is_public(name):
         except ImportError:
             continue
         if last in getattr(holder, "__all__", dir(holder)):
-            return True
+            return not inspect.ismodule(getattr(holder, last))
     return False
 
 
