@@ -412,6 +412,7 @@ ELSEWHERE = (
             filters.integral: integral_image
         """,
     ),
+    Elsewhere(CHOICES, "test_parallel_loops", "core.parallel_loops.*"),
     Elsewhere(SOLVERS, "test_side_by_side", "core.side_by_side.*"),
     Elsewhere(
         STATISTICS,
