@@ -21,6 +21,7 @@ from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
 from jaxvision import PoissonShotNoise, Sensor
+from jaxvision.core.parallel_loops import fori_loop
 from jaxvision.errors import InputError
 from jaxvision.sensor import (
     charge_of_signal,
@@ -403,7 +404,7 @@ class SensorCounts(eqx.Module):
             return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
 
         ends = jnp.zeros_like(code + mean), jnp.maximum(jnp.maximum(code, mean), 1.0)
-        low, high = jax.lax.fori_loop(0, _HALVINGS, halve, ends)
+        low, high = fori_loop(0, _HALVINGS, halve, ends)
         peak = jnp.round((low + high) / 2)
         peak = jnp.where(self._is_black(data), jnp.maximum(peak, code), peak)
         return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)

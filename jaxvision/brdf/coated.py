@@ -42,6 +42,7 @@ from ..core._types import (
     is_known,
 )
 from ..core._vector import Direction, Vec, as_vec
+from ..core.parallel_loops import map_
 from ..scene import Material
 from . import eon, torrance_sparrow
 from ._facet_energy import LARGEST_INDEX, LEAST_INDEX, reflected
@@ -271,7 +272,7 @@ def _further(material: Coated, wi: Vec, wo: Vec) -> Colour:
     if family(material.body).isotropic(material.body):
         shares = ring(jnp.zeros((), cosines.dtype))[None]
     else:
-        shares = jax.lax.map(ring, jnp.asarray(_AZIMUTHS_OF_SHARES, cosines.dtype))
+        shares = map_(ring, jnp.asarray(_AZIMUTHS_OF_SHARES, cosines.dtype))
     left = weights.sum(axis=0) - (weights * shares.mean(axis=0)).sum(axis=0)
     i, o = (_interpolated(shares[:, order:], w) for w in (wi, wo))
     return divide(i * o, jnp.pi * left, where=~(left <= smallest_divisor(left.dtype)))

@@ -40,8 +40,8 @@ def scan(
     def numbered(carry: Any, item: tuple[Array, Any]) -> tuple[Any, Any]:
         number, own = item
         if any(map(_is_numeric, jax.tree.leaves(carry))):
-            return step(_mark(number, carry), own)
-        return step(carry, _mark(number, own))
+            return step(_attach_sort(number, carry), own)
+        return step(carry, _attach_sort(number, own))
 
     items = jnp.arange(count, dtype=jnp.int32), items
     return jax.lax.scan(numbered, start, items, reverse=reverse)
@@ -52,7 +52,7 @@ def map_(function: Callable[[Any], Any], items: Any, *, batch_size: int | None =
     if not _is_needed():
         return jax.lax.map(function, items, batch_size=batch_size)
     numbered = jnp.arange(len(jax.tree.leaves(items)[0]), dtype=jnp.int32), items
-    return jax.lax.map(lambda item: function(_mark(*item)), numbered, batch_size=batch_size)
+    return jax.lax.map(lambda item: function(_attach_sort(*item)), numbered, batch_size=batch_size)
 
 
 def fori_loop(
@@ -61,7 +61,7 @@ def fori_loop(
     """Return `jax.lax.fori_loop(first, end, step, start)`."""
     if not _is_needed():
         return jax.lax.fori_loop(first, end, step, start)
-    return jax.lax.fori_loop(first, end, lambda k, carry: step(k, _mark(k, carry)), start)
+    return jax.lax.fori_loop(first, end, lambda k, carry: step(k, _attach_sort(k, carry)), start)
 
 
 def while_loop(
@@ -73,7 +73,7 @@ def while_loop(
 
     def numbered(state: tuple[Array, Carry]) -> tuple[Array, Carry]:
         number, carry = state
-        return number + 1, step(_mark(number, carry))
+        return number + 1, step(_attach_sort(number, carry))
 
     zero = jnp.zeros((), jnp.int32)
     return jax.lax.while_loop(lambda state: goes_on(state[1]), numbered, (zero, start))[1]
@@ -88,7 +88,7 @@ def _is_needed() -> bool:
     return _runs_on_one_core() and targets_cpu()
 
 
-def _mark(number: Array, values: Any) -> Any:
+def _attach_sort(number: Array, values: Any) -> Any:
     """Return the values, of which one array is kept only if two equal numbers are equal after
     sorting. XLA does not know that they are."""
     leaves, tree = jax.tree.flatten(values)

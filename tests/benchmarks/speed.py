@@ -204,13 +204,14 @@ mattes, and SciPy for fits.
 ## What bounds the rows below 1
 
 - **First picture.** Of the 2.8 s of the second process, importing JAX takes .45 s, importing
-  jaxvision and its other libraries .4 s, loading the compiled program .4 to .8 s, and rendering
-  .7 s. Mitsuba's whole process takes 1.4 s. The first process also compiles for 3 to 4 s.
+  jaxvision and its other libraries .4 s, reading the scene .25 s, loading the compiled program
+  .4 s, and rendering .7 s. Mitsuba's whole process takes 1.4 s. The first process also compiles
+  for 3 to 4 s.
 - **First fit.** SciPy searches from one start, jaxvision from 16. It imports JAX and compiles.
 - **Meshes.** Embree traces the rays, but its Python binding passes them one by one, which took
   5.7 of 12 ms in a profile.
 - **Histograms.** XLA adds one count after the other: .29 ms for 512 x 512 codes, on one core.
-  `numpy.bincount` takes .30 ms. OpenCV counts in several tables, on all cores.
+  `numpy.bincount` takes .30 ms, and OpenCV .10 ms.
 - **Separable filters.** XLA stores the picture between the two passes, and a picture of
   2048 x 2048 x 3 leaves the cache. OpenCV does both passes row by row.
 - **Response.** All pixels are used, which gives a tenth of the error of Debevec's 300 pixels.

@@ -231,6 +231,22 @@ def test_jaxvision_knows_no_solver(room):
     assert not outside(rooms("jaxvision")[room]) & NEVER_IN_JAXVISION
 
 
+OWN_LOOPS = {  # of jax.lax itself, which jaxlib 0.12 compiles for one core
+    "jaxvision/core/parallel_loops.py",
+    "jaxvision/accuracy/rounding.py",  # loops of the program that it evaluates
+    "fitting/inference/newton.py",  # calls LAPACK at each step, so that XLA leaves it out
+    "fitting/inference/nuts.py",  # around the loops of blackjax
+    "fitting/inference/separable.py",  # of a few numbers
+}
+
+
+def test_loops_run_on_all_cores():
+    loop = re.compile(r"\blax\.(scan|map|fori_loop|while_loop)\(")
+    files = [file for name in ("jaxvision", "fitting") for file in (ROOT / name).rglob("*.py")]
+    found = {str(file.relative_to(ROOT)) for file in files if loop.search(file.read_text())}
+    assert found == OWN_LOOPS
+
+
 @pytest.mark.parametrize("room", sorted(files_of_rooms("fitting")))
 def test_a_calibration_goes_one_way(room):
     floor = {name: i for i, names in enumerate(FITTING_FLOORS) for name in names}

@@ -51,18 +51,22 @@ def camera_nearness(
         scaled = dn * root
         return scaled - others @ (others.T @ scaled)
 
-    far, inverse = predicted(0.0), 0.0
+    far = predicted(0.0)
     before = residual(samples.dn - fitted.dn)
-    left, squares, pulls = before, np.zeros(1), np.zeros(1)
-    for step in range(STEPS + 1):
-        ends = predicted(inverse + SMALL), predicted(inverse - SMALL)
-        slope = residual((ends[0] - ends[1]) / (2 * SMALL))
+
+    def linearise(inverse: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the squared slopes and the pulls of each image, and the residuals."""
+        slope = residual((predicted(inverse + SMALL) - predicted(inverse - SMALL)) / (2 * SMALL))
         left = residual(samples.dn - fitted.dn - (predicted(inverse) - far))
-        squares, pulls = np.bincount(light, slope**2), np.bincount(light, slope * left)
+        return np.bincount(light, slope**2), np.bincount(light, slope * left), left
+
+    inverse = 0.0
+    for _ in range(STEPS):
+        squares, pulls, _ = linearise(inverse)
         if not squares.any():
             return Nearness(0.0, np.inf, 0.0, 0.0)
-        if step < STEPS:
-            inverse += float(pulls.sum() / squares.sum())
+        inverse += float(pulls.sum() / squares.sum())
+    squares, pulls, left = linearise(inverse)
     error = np.sqrt(max(np.sum(pulls**2), squares.sum())) / squares.sum()
     angle = np.arctan(abs(inverse) * np.hypot(*place).max())
     return Nearness(inverse, float(error), float(angle), float(1 - left @ left / (before @ before)))
