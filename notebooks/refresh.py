@@ -18,7 +18,7 @@ from pathlib import Path
 from PIL import Image, ImageChops, ImageStat
 
 HERE = Path(__file__).parent
-TOGETHER = 298_000  # characters of all outputs of a notebook
+TOGETHER = 296_500  # bytes of all outputs of a notebook
 # quality and greatest width of a JPEG in pixels, tried in this order
 STEPS = ((85, 1100), (75, 1000), (65, 900), (60, 800), (55, 750), (50, 700), (45, 650), (40, 600))
 PALETTE_ERROR = 1.5  # greatest RMS error of a palette, codes of 255
@@ -63,7 +63,7 @@ def shrink(notebook: Path) -> None:
         base64.b64decode("".join(data.pop("image/png", None) or data.pop("image/jpeg")))
         for data in pictures
     ]
-    other = len(json.dumps(outputs, ensure_ascii=False))
+    other = len(json.dumps(outputs))
     opened = [Image.open(io.BytesIO(source)).convert("RGB") for source in sources]
     plots = [with_palette(picture) for picture in opened]
     for step in STEPS:
