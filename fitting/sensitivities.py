@@ -38,6 +38,7 @@ from .fits.bands import Bands, bands
 from .inference.formatting import format_percent
 from .inference.given import plain_numbers, require_seed, require_whole
 from .inference.precision import double_precision
+from .report.figures import empty_panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,10 +212,7 @@ class Sensitivities:
         Returns:
             The figure, of matplotlib.
         """
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(6, 3.6), layout="constrained")
-        axes = figure.subplots()
+        figure, axes = empty_panels((6, 3.6))
         colours = ("#c43b3b", "#2f8f4e", "#3b62c4") if len(self.channels) == 3 else ()
         at = 1e9 * self.wavelengths
         for i, name in enumerate(self.channels):

@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ..inference.formatting import format_interval, format_name, format_unit, format_value
-from ..report.colours import OF_CHANNEL
+from ..report.figures import OF_CHANNEL, empty_panels
 from ..report.section import Picture, Section, Table
 from .compare import Comparison, compare
 from .lab import Truth
@@ -77,10 +77,7 @@ def forest_figure(comparisons: Sequence[Comparison]) -> "Figure":
     """Draw one row for each estimate: its 68 and 95 % intervals minus the true value, in standard
     errors.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.4, 1.2 + 0.27 * len(comparisons)), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((5.4, 1.2 + 0.27 * len(comparisons)))
     axis.axvspan(-1.96, 1.96, color="0.93", zorder=0)
     axis.axvline(0, color="0.4", lw=1)
     labels = []

@@ -13,6 +13,7 @@ from jaxvision.files.images import replaced_on_success, write_image
 
 from ..inference.formatting import format_spread, format_unit
 from ..inference.misfit import CHANCE
+from ..report.figures import empty_panels
 from .result import Fit
 
 if TYPE_CHECKING:
@@ -151,12 +152,10 @@ class FitMap:
     def _figure(self) -> "Figure":
         """Draw the maps of the estimates, of their standard errors, and of the states."""
         from matplotlib import colormaps
-        from matplotlib.figure import Figure
 
         numbers = list(self._numbers())
         rows = len(numbers) + 1
-        figure = Figure(figsize=(9, 3.2 * rows), layout="constrained")
-        axes = figure.subplots(rows, 2, squeeze=False)
+        figure, axes = empty_panels((9, 3.2 * rows), rows, 2, squeeze=False)
         for row, (name, value, sd) in zip(axes, numbers, strict=False):
             unit = format_unit(self._unit(name))
             for axis, pixels, title in ((row[0], value, name), (row[1], sd, f"{name}: s.e.")):

@@ -26,6 +26,7 @@ from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, as_arrays, records_at, values_from
 from ..inference.search import Optimum
 from ..inference.trust import cost_in_words
+from ..report.figures import empty_panels
 from ..report.section import Picture, Section, Table
 from .bands import Bands, bands, evaluate_draws, simulate_data, thinned_draws
 from .budget import Budget, Noise, budget
@@ -483,10 +484,7 @@ def residual_figure(residuals: np.ndarray) -> "Figure":
     """Draw the standardised residuals: an image of the first channel for picture data, points in
     order for other data.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((6, 4))
     if residuals.ndim >= 2 and min(residuals.shape[:2]) > 2:
         picture = residuals.reshape(*residuals.shape[:2], -1)[..., 0]
         shown = axis.imshow(picture, cmap="RdBu_r", vmin=-4, vmax=4)

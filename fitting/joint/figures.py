@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..reflectance.from_images.figures import draw_lights
-from ..report.colours import OF_CHANNEL
+from ..report.figures import OF_CHANNEL, empty_panels
 from .calibration import JointCalibration
 from .fit import image_errors
 from .model import predicted_parts
@@ -42,10 +42,7 @@ def noise_figure(calibration: JointCalibration) -> "Figure":
     """Draw the mean squared residual of a pixel and the model's variance as functions of the
     pixel's mean. Fitted errors of whole images are subtracted from the residual.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.8, 4.2), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((6.8, 4.2))
     for fit in calibration.fits:
         cells = fit.data.cells
         model, left = predicted_parts(jnp.asarray(fit.vector), fit.data)
@@ -75,10 +72,7 @@ def noise_figure(calibration: JointCalibration) -> "Figure":
 
 def lights_figure(calibration: JointCalibration) -> "Figure":
     """Draw the fitted strength of each light."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.8, 3.6), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((6.8, 3.6))
     width = 0.8 / len(calibration.fits)
     for i, fit in enumerate(calibration.fits):
         found = image_errors(fit)

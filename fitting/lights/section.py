@@ -8,6 +8,7 @@ import numpy as np
 
 from ..inference.estimates import gaussian_estimate
 from ..inference.parameters import Parameter
+from ..report.figures import empty_panels
 from ..report.section import Picture, Section, Table
 from .file import HEADS, Lights, write_lights
 
@@ -66,11 +67,9 @@ def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Sec
 
 def lights_figure(lights: Lights) -> "Figure":
     """Draw directions on the hemisphere toward the camera, with enlarged error ellipses."""
-    from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
 
-    figure = Figure(figsize=(5.2, 5.2), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = empty_panels((5.2, 5.2))
     axes.add_patch(Ellipse((0, 0), 2, 2, fill=False, color="0.7"))
     scale = np.linalg.norm(lights.places, axis=1)
     for i, place in enumerate(lights.places):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..inference.formatting import decimals_for, format_number
-from ..report.colours import BLUE, GREY, ORANGE
+from ..report.figures import BLUE, GREY, ORANGE, empty_panels
 from ..report.section import Picture
 from .calibration import NoiseCalibration
 from .emva1288 import linearity_deviation
@@ -71,7 +71,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
-    figure, upper, lower = two_panels()
+    figure, (upper, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.4))
     used = np.isin(np.arange(len(signal)), calibration.usable)
     drawable = (signal > 0) & (shot > 0)
     floor = shot[used & drawable].min() / 3
@@ -119,7 +119,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
     within = np.asarray(calibration.within.linearity)
-    figure, upper, lower = two_panels()
+    figure, (upper, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.4))
     upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
     if calibration.likelihood is not None:
         x, moments, unlit = _model_curve(calibration, spacing="even")
@@ -141,14 +141,11 @@ def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
 
 def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
     """Draw the signal-to-noise ratio against light, on logarithmic axes."""
-    from matplotlib.figure import Figure
-
     measurement = calibration.measurement
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
     noise = np.sqrt(np.asarray(measurement.bright.variance))
-    figure = Figure(figsize=(SIZE[0], 3.8), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((SIZE[0], 3.8))
     shown = (signal > 0) & (noise > 0)
     if calibration.within.saturation is not None:
         shown &= light <= float(calibration.within.saturation)
@@ -189,14 +186,11 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> "Figure":
 
 def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
     """Draw the mean and the variance of the darks against exposure."""
-    from matplotlib.figure import Figure
-
     dark = calibration.measurement.dark
     exposure = 1e3 * np.asarray(dark.exposure)
     count = np.asarray(dark.pixels * dark.frames)
     mean, variance = np.asarray(dark.mean), np.asarray(dark.variance)
-    figure = Figure(figsize=SIZE, layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = empty_panels(SIZE, 2, 1, sharex=True)
     panels = (
         (upper, mean, np.sqrt(variance / count), "dark mean [DN]", "mean"),
         (lower, variance, dark.variance_error, "dark variance [DN²]", "variance"),
@@ -217,16 +211,6 @@ def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
             axis.legend(fontsize=9)
     lower.set_xlabel("exposure [ms]")
     return figure
-
-
-def two_panels(*, height: float = 1.4) -> "tuple[Figure, Axes, Axes]":
-    """Return a figure and its two panels with a common abscissa, whose heights are in the ratio 3
-    to `height`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, height))
-    return figure, upper, lower
 
 
 def _model_curve(

@@ -15,7 +15,7 @@ from jaxvision.plots.estimates import REGIONS
 from ..inference.formatting import format_axis
 from ..inference.parameters import Parameter, names, scalars
 from ..inference.posterior import Posterior
-from .colours import BLUE, OF_CHANNEL, RED
+from .figures import BLUE, OF_CHANNEL, RED
 from .section import Columns, Picture, Section
 
 if TYPE_CHECKING:

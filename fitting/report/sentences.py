@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from .colours import OF_CHANNEL
+from .figures import OF_CHANNEL
 
 Numbers = Mapping[str, Any]
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxvision.point_ops import srgb_encode
 
 from ..inference.formatting import format_value
-from ..report.colours import colour_of
+from ..report.figures import colour_of, empty_panels
 from .calibration import ChannelResponse, ResponseCalibration, crop_alike, radiance_images
 from .findings import DRAWN
 from .shape import shapes
@@ -78,11 +78,8 @@ def _draw_curve(axis: "Axes", channel: ChannelResponse, *, width: float) -> None
 
 def departure_figure(calibration: ResponseCalibration) -> "Figure":
     """Draw the deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
-    from matplotlib.figure import Figure
-
     shown = calibration.channels[: 4 * MOST_GROUPS]
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = empty_panels((9, 3.6), 1, 2)
     for channel in shown:
         curve, colour = channel.curve, colour_of(channel.plane.channel)
         band = np.where(curve.seen, curve.half_width, np.nan)
@@ -136,12 +133,11 @@ def radiance_figure(
     """Draw the radiance map of each group next to the radiance from its middle exposure alone,
     through the same tone curve. Each pair is drawn twice: at the map's white, and brightened to
     show the shadows."""
-    from matplotlib.figure import Figure
-
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
-    figure = Figure(figsize=(5.2, 2 * len(shown) * (2.6 * tall + 0.3)), layout="constrained")
-    axes = figure.subplots(2 * len(shown), 2, squeeze=False)
+    figure, axes = empty_panels(
+        (5.2, 2 * len(shown) * (2.6 * tall + 0.3)), 2 * len(shown), 2, squeeze=False
+    )
     for i, (group, image) in enumerate(shown):
         single, seconds = _middle_exposure(calibration, group)
         white = float(np.nanquantile(image, 0.999))
@@ -198,8 +194,6 @@ def _panels(
     calibration: ResponseCalibration, *, height: float
 ) -> "tuple[Figure, list[tuple[Axes, list[ChannelResponse]]]]":
     """Return a figure, and for each group of images an axis with the group's channels."""
-    from matplotlib.figure import Figure
-
     of_group: dict[str, list[ChannelResponse]] = {}
     for channel in calibration.channels:
         of_group.setdefault(channel.plane.group, []).append(channel)
@@ -207,8 +201,7 @@ def _panels(
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
     width = 5.4 if columns == 1 else 4.4 * columns
-    figure = Figure(figsize=(width, height * rows + 0.4), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure, axes = empty_panels((width, height * rows + 0.4), rows, columns, squeeze=False).ravel()
     for axis in axes[len(groups) :]:
         axis.set_axis_off()
     for axis, (group, _) in zip(axes, groups, strict=False):

@@ -9,7 +9,7 @@ import xarray as xr
 from jaxvision import __version__
 from jaxvision.plots.inline import INK, inline_svg
 
-from ..report.colours import BLUE, RED
+from ..report.figures import BLUE, RED
 from .compare import Compared, Drift
 from .outcomes import Outcome
 

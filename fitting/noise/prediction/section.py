@@ -7,7 +7,7 @@ import numpy as np
 
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_number, format_p
-from ...report.colours import BLUE, ORANGE
+from ...report.figures import BLUE, ORANGE, empty_panels
 from ...report.section import Picture, Section, Table
 from .comparison import PARTS, Agreement
 from .missing import SCATTERS
@@ -193,11 +193,10 @@ def picture(prediction: Prediction) -> Picture:
 
 def residual_figure(prediction: Prediction) -> "Figure":
     """Draw the residuals over the signal, with a panel for each quantity."""
-    from matplotlib.figure import Figure
-
     judged = prediction.main_comparison
-    figure = Figure(figsize=(5.4, 1.5 + 1.3 * len(judged.agreement)), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(judged.agreement), 1, sharex=True))
+    count = len(judged.agreement)
+    figure, panels = empty_panels((5.4, 1.5 + 1.3 * count), count, 1, sharex=True, squeeze=False)
+    panels = panels[:, 0]
     signal, lit = judged.found.signal, np.asarray(judged.lit.lit) > 0
     colours = (BLUE, ORANGE)
     for panel, name in zip(panels, judged.agreement, strict=True):

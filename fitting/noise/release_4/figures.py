@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...report.colours import BLUE, GREEN, GREY, ORANGE, RED
+from ...report.figures import BLUE, GREEN, GREY, ORANGE, RED, empty_panels
 from ...report.section import Picture
 from ..levels import signal_of
 from .defects import histogram
@@ -88,8 +88,6 @@ def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
 
 def spatial_variances_figure(sheet: Release4) -> "Figure":
     """Draw standard deviations of rows, columns and pixels over the signal, on logarithmic axes."""
-    from matplotlib.figure import Figure
-
     stacks = sheet.stacks
     bright = stacks.measurement.bright
     matched = np.asarray(stacks.measurement.dark_of)
@@ -97,8 +95,7 @@ def spatial_variances_figure(sheet: Release4) -> "Figure":
     shown = signal > 0
     if sheet.within.saturation is not None:
         shown &= np.asarray(bright.light) <= float(sheet.within.saturation)
-    figure = Figure(figsize=SIZE, layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels(SIZE)
     temporal = np.sqrt(np.maximum(np.asarray(bright.variance), 0))
     drawable = shown & (temporal > 0)
     axis.loglog(
@@ -134,11 +131,8 @@ def _deviations(splits: tuple[Split, ...], part: str) -> np.ndarray:
 
 def signal_to_noise_figure(sheet: Release4) -> "Figure":
     """Draw the signal-to-noise ratios over light, on logarithmic axes."""
-    from matplotlib.figure import Figure
-
     general, measurement = sheet.general, sheet.stacks.measurement
-    figure = Figure(figsize=(SIZE[0], 3.8), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((SIZE[0], 3.8))
     light = general.light
     axis.loglog(light, general.output, "o", color=ORANGE, mfc="none", ms=7, mew=0.8, label="output")
     axis.errorbar(
@@ -178,12 +172,8 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
 
 def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
     """Draw the histograms, or the accumulated histograms, of deviations for DSNU and PRNU."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, layout="constrained")
-    for axis, (name, unit, image, steps) in zip(
-        figure.subplots(2, 1), defect_images(averages), strict=True
-    ):
+    figure, axes = empty_panels(SIZE, 2, 1)
+    for axis, (name, unit, image, steps) in zip(axes, defect_images(averages), strict=True):
         found = histogram(image, steps)
         if accumulated:
             axis.semilogy(found.deviations, found.share, color=BLUE, lw=1.2, label=name)
@@ -202,12 +192,9 @@ def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
 def spectrograms_figure(averages: Averages) -> "Figure":
     """Draw amplitudes over spatial frequency, in four panels: DSNU in the upper row and PRNU in the
     lower row, the horizontal direction on the left and the vertical on the right."""
-    from matplotlib.figure import Figure
-
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
-    figure = Figure(figsize=(7.2, SIZE[1]), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    figure, axes = empty_panels((7.2, SIZE[1]), 2, 2, sharex=True, sharey="row")
     of_both = (("DSNU", "DN", unlit.image), ("PRNU", "%", 100 * response / response.mean()))
     for row, (name, unit, image) in zip(axes, of_both, strict=True):
         for axis, (along, direction) in zip(row, ((1, "horizontal"), (0, "vertical")), strict=True):
@@ -228,11 +215,8 @@ def spectrograms_figure(averages: Averages) -> "Figure":
 def profiles_figure(averages: Averages) -> "Figure":
     """Draw the profiles of clause 8.7 in DN, horizontal ones on the left and vertical ones on the
     right."""
-    from matplotlib.figure import Figure
-
     lit, unlit = averages.lit, averages.unlit
-    figure = Figure(figsize=(7.2, SIZE[1]), layout="constrained")
-    axes = figure.subplots(2, 2, sharex="col", sharey="row")
+    figure, axes = empty_panels((7.2, SIZE[1]), 2, 2, sharex="col", sharey="row")
     for row, (name, image) in zip(
         axes, (("bright", lit.image - unlit.image), ("dark", unlit.image)), strict=True
     ):

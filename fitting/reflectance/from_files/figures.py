@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxvision import Vec
 
-from ...report.colours import OF_CHANNEL
+from ...report.figures import OF_CHANNEL, empty_panels
 from ..models import LABELS, REFLECTANCES, has_lobe
 from ..names import AXIS_NAMES, MODELS, Axis, Model
 from .calibration import BRDFCalibration
@@ -33,14 +33,12 @@ def slices_figure(calibration: BRDFCalibration) -> "Figure":
     """Draw, for some incidences, the reflected light as a function of the viewer's angle from the
     normal.
     """
-    from matplotlib.figure import Figure
-
     measured = calibration.measured
     shown = np.unique(
         np.linspace(0, len(measured.incidences) - 1, SHOWN_INCIDENCES).round().astype(int)
     )
-    figure = Figure(figsize=(10.5, 7.4), layout="constrained")
-    axes = figure.subplots(2, 2, squeeze=False).flat
+    figure, axes = empty_panels((10.5, 7.4), 2, 2, squeeze=False)
+    axes = axes.flat
     for axis, incidence in zip(axes, shown, strict=False):
         _draw_slice(axis, calibration, int(incidence))
     for axis in list(axes)[len(shown) :]:
@@ -127,14 +125,12 @@ def errors_figure(calibration: BRDFCalibration) -> "Figure":
     """Draw bars of both error metrics. Models are in the order of the metric that the fits
     minimise.
     """
-    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
     order: list[Model] = sorted(
         MODELS, key=lambda m: -metric(calibration.held_out[m], calibration.objective)
     )
-    figure = Figure(figsize=(10.5, 4.4), layout="constrained")
-    cosine, root = figure.subplots(1, 2, sharey=True)
+    figure, (cosine, root) = empty_panels((10.5, 4.4), 1, 2, sharey=True)
     places = np.arange(len(order))
     colours = [AXIS_COLOURS[REFLECTANCES[m].axis] for m in order]
     shown = (
@@ -212,12 +208,8 @@ def _heat_table(
 ) -> "Figure":
     """Draw a table of numbers in which the shade of a cell shows the logarithm of its number."""
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(3.4 + 0.95 * len(columns), 1.2 + 0.42 * len(rows)), layout="constrained"
-    )
-    axis = figure.subplots()
+    figure, axis = empty_panels((3.4 + 0.95 * len(columns), 1.2 + 0.42 * len(rows)))
     limit = min(float(values.max()), LIMIT) if style != ".3f" else float(values.max())
     scale = LogNorm(float(values.min()), max(limit, 1.01 * float(values.min())))
     shown = axis.imshow(values, cmap="viridis_r", norm=scale, aspect="auto")
@@ -244,18 +236,14 @@ def _heat_table(
 
 def amplitudes_figure(calibration: BRDFCalibration) -> "Figure":
     """Draw the spectra of both amplitudes, or points if there are few bands."""
-    from matplotlib.figure import Figure
-
     measured, found, model = calibration.measured, calibration.amplitudes, calibration.model
     row = REFLECTANCES[model]
     terms = [("k_d", found.diffuse, found.diffuse_error, "sr$^{-1}$")]
     if has_lobe(model):
         unit = "" if row.unit == "1" else "sr$^{-1}$"
         terms.append(("k_s", found.specular, found.specular_error, unit))
-    figure = Figure(figsize=(5 * len(terms), 3.4), layout="constrained")
-    for axis, (symbol, values, error, unit) in zip(
-        figure.subplots(1, len(terms), squeeze=False).flat, terms, strict=True
-    ):
+    figure, axes = empty_panels((5 * len(terms), 3.4), 1, len(terms), squeeze=False)
+    for axis, (symbol, values, error, unit) in zip(axes.flat, terms, strict=True):
         _draw_bands(axis, measured, values, error)
         name = f"${symbol[0]}_{symbol[2]}$"
         axis.set(ylabel=f"{name} [{unit}]" if unit else name, ylim=(0, None))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ...report.colours import OF_CHANNEL
+from ...report.figures import OF_CHANNEL, empty_panels
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, lights_as_fitted, predicted_image
@@ -56,14 +56,12 @@ def draw_lights(
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
-    from matplotlib.figure import Figure
 
     columns = {light: images_of(light) for light in shown_lights(observation)}
     if largest is None:
         worst = np.abs([left for _, _, left in columns.values()])
         largest = max(float(np.nanquantile(worst, 0.99)), 0.1)
-    figure = Figure(figsize=(1.2 + 2.2 * len(columns), 6.6), layout="constrained")
-    axes = figure.subplots(3, len(columns), squeeze=False)
+    figure, axes = empty_panels((1.2 + 2.2 * len(columns), 6.6), 3, len(columns), squeeze=False)
     scale = TwoSlopeNorm(0, -largest, largest)
     for (light, (*pictures, left)), column in zip(columns.items(), axes.T, strict=True):
         for axis, values in zip(column, pictures, strict=False):
@@ -86,10 +84,7 @@ def draw_lights(
 def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Draw the measured diffuse term, after subtraction of the fitted specular term, and the
     measured specular term, after subtraction of the fitted diffuse term."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    diffuse, specular = figure.subplots(1, 2)
+    figure, (diffuse, specular) = empty_panels((10, 4.2), 1, 2)
     for fit in calibration.chosen_fits:
         _draw_terms(calibration, fit, diffuse, specular)
     diffuse.set(
@@ -110,13 +105,11 @@ def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
 
 def comparison_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Draw the relative RMS error of each model and channel on a logarithmic axis."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
     scores, channels = calibration.scores, calibration.observation.channels
     models = tuple(calibration.fits)
-    figure = Figure(figsize=(5.4, 1.6 + 0.42 * len(models)), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((5.4, 1.6 + 0.42 * len(models)))
     tested = any(score.predicted_error is not None for score in scores)
     for i, channel in enumerate(channels):
         own = {score.model: score for score in scores if score.channel == channel}
@@ -153,12 +146,10 @@ def comparison_figure(calibration: ReflectanceCalibration) -> "Figure":
 def residual_map_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Draw the mean relative residual of every pixel."""
     from matplotlib.colors import TwoSlopeNorm
-    from matplotlib.figure import Figure
 
     percent = 100 * mean_residual(calibration)
     largest = max(float(np.nanquantile(np.abs(percent), 0.98)), 0.1)
-    figure = Figure(figsize=(5.4, 4.4), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = empty_panels((5.4, 4.4))
     observation = calibration.observation
     rows, columns = observation.rows, observation.columns
     shown = axis.imshow(
