@@ -68,7 +68,9 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
     except ValueError:
         raise damaged(file, "its head is no list of numbers") from None
     whole = largest == int(largest) and 1 <= largest <= 65535 if np.isfinite(largest) else False
-    if columns < 1 or rows < 1 or not (whole or (magic in _FLOATS and largest)):
+    if magic in _FLOATS and not 0 < abs(largest) < np.inf:
+        raise damaged(file, f"its scale is {largest:g}, whose sign should give the order of bytes")
+    if columns < 1 or rows < 1 or not (whole or magic in _FLOATS):
         raise damaged(file, f"its head says {columns} x {rows} and a largest code {largest:g}")
     return NetpbmHead(magic, columns, rows, largest, at + 1)  # one white space ends the head
 

@@ -314,6 +314,8 @@ def _turned_normals(normals: np.ndarray, matrix: np.ndarray, otherwise: np.ndarr
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
 _OBJ_TAB = re.compile(r"^([ \t]*\w+)\t", re.MULTILINE)
 _OBJ_COLOURS = re.compile(r"^[ \t]*v(?:[ \t]+[^\s#]+){6,7}[ \t]*\r?$", re.MULTILINE)
+_OBJ_WEIGHT = re.compile(r"^[ \t]*v(?:[ \t]+[^\s#]+){3}[ \t]+([^\s#]+)[ \t]*\r?$", re.MULTILINE)
+_OBJ_ONE = re.compile(r"\+?1(?:\.0*)?(?:e[+-]?0+)?", re.IGNORECASE)
 _OBJ_OTHER = {
     r"^[ \t]*l[ \t]": "lines (l)",
     r"^[ \t]*p[ \t]": "points (p)",
@@ -382,6 +384,8 @@ def _unused_of_obj(text: str) -> list[str]:
     several = [f"its {len(materials)} materials (usemtl)"] if len(materials) > 1 else []
     if _OBJ_COLOURS.search(text):
         several.append("the colours of its vertices")
+    if not all(map(_OBJ_ONE.fullmatch, set(_OBJ_WEIGHT.findall(text)))):
+        several.append("the weights w of its vertices (v x y z w), by which some programs divide")
     return several + [what for word, what in _OBJ_OTHER.items() if re.search(word, text, re.M)]
 
 

@@ -14,7 +14,7 @@ from ..programs import targets_cpu
 from ..scene import TriangleMesh
 from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
-from .rays import Hit, Ray
+from .rays import Hit, Ray, unknown_without_ray
 
 _TRIED = 100  # triangles; for more, Embree's tree is faster on a CPU than testing each triangle
 _TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays must be copied to the CPU
@@ -47,7 +47,7 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
         The hit; a miss has distance inf.
     """
     _, primitive = mesh_nearest(*jax.lax.stop_gradient((ray, mesh)))
-    return triangle_hit(ray, mesh, primitive)
+    return unknown_without_ray(triangle_hit(ray, mesh, primitive), ray)
 
 
 def _search(mesh: TriangleMesh) -> bool:

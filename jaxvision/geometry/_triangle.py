@@ -65,7 +65,8 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     # an area of 0 within rounding: seen edge on, or degenerate; the distance becomes 0, a miss
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
     inverse = 1 / jnp.where(flat, jnp.inf, area)
-    distance = (u * a.z + v * b.z + w * c.z) * inverse
+    # weights first, as area times length leaves the range of float32 above 1e12 and below 1e-12 m
+    distance = (u * inverse) * a.z + (v * inverse) * b.z + (w * inverse) * c.z
     return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
 
 

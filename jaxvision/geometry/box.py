@@ -14,7 +14,7 @@ from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Box
 from ._size import size_of
-from .rays import Hit, Ray
+from .rays import Hit, Ray, unknown_without_ray
 
 
 def _local(box: Box, v: Vec) -> Vec:
@@ -119,7 +119,7 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    return box_hit(ray, box, materialise)
+    return unknown_without_ray(box_hit(ray, box, materialise), ray)
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:

@@ -2,6 +2,7 @@
 before rays are traced. The checks use NumPy, with lengths in metres."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..core._types import is_known
@@ -51,9 +52,10 @@ def invalid(shape: Shape) -> list[str]:
             found += _nonpositive_problem(f"{kind}.radius", shape.radius)
             found += _no_direction(f"{kind}.normal", shape.normal)
         case Quad():
-            area = np.cross(np.asarray(shape.edge_u), np.asarray(shape.edge_v))
-            longest = np.abs(np.asarray([shape.edge_u, shape.edge_v])).max()
-            if not np.linalg.norm(area) > np.finfo(area.dtype).eps * longest**2:
+            edges = np.asarray([shape.edge_u, shape.edge_v])
+            longest = np.abs(edges).max()
+            area = np.linalg.norm(np.cross(*edges.astype(float) / (longest or 1)))
+            if not area > np.finfo(edges.dtype).eps:
                 found.append(f"{kind}.edge_u and edge_v span no area.")
         case Box():
             found += _nonpositive_problem(f"{kind}.half_extents", shape.half_extents)
@@ -68,7 +70,8 @@ def invalid(shape: Shape) -> list[str]:
 
 def coarse(shape: Shape) -> list[str]:
     """Return a message if a shape is so far from the origin that the spacing of its dtype there
-    exceeds a thousandth of the shape's size, or 4 % of the mean height of a mesh's triangles.
+    exceeds a thousandth of the shape's size, or 4 % of the mean height of a mesh's triangles; or if
+    products of its lengths leave the range of the dtype.
     """
     match shape:
         case Sphere() | Disc():
@@ -84,6 +87,15 @@ def coarse(shape: Shape) -> list[str]:
             size = float(np.ptp(place, axis=0).max())
         case _:
             return []
+    reach, limits = float(np.abs(place).max()), jnp.finfo(place.dtype)
+    least, most = float(limits.tiny / limits.eps) ** 0.5, float(limits.max) ** 0.5 / 10
+    length = size if size < least else max(reach, size)
+    if (length < least or length > most) and limits.bits > 16:
+        return [
+            f"{type(shape).__name__} has lengths of {length:.2g} m, whose products leave the range "
+            f"of {place.dtype}, so that rays may miss it; take another unit of length, of which it "
+            f"has {least:.1g} to {most:.1g}, or float64."
+        ]
     step = float(np.spacing(np.abs(place).max()))
     share, most, what = step / size, 1e-3, "its size"
     # Smaller steps matter only for heights below 25e-6 of the size, in meshes of 1e9 triangles.

@@ -21,7 +21,7 @@ from ..core._vector import Vec, Vector, as_vec, masked
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
 from .hemisphere import cross
-from .rays import Hit, Ray
+from .rays import Hit, Ray, unknown_without_ray
 
 
 def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
@@ -71,7 +71,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
         >>> print(jv.geometry.intersect_plane(jv.Ray([0, 0, 2], [0.6, 0, -0.8]), floor).distance)
         2.5
     """
-    return plane_hit(ray, plane, materialise)
+    return unknown_without_ray(plane_hit(ray, plane, materialise), ray)
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
@@ -95,7 +95,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
         >>> print(jv.geometry.intersect_disc(jv.Ray([2, 0, 0], [0, 0, 1]), disc).distance)
         inf
     """
-    return disc_hit(ray, disc, materialise)
+    return unknown_without_ray(disc_hit(ray, disc, materialise), ray)
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
@@ -179,7 +179,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
-    return quad_hit(ray, flat, meets, materialise)
+    return unknown_without_ray(quad_hit(ray, flat, meets, materialise), ray)
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:

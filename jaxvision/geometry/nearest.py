@@ -41,7 +41,7 @@ from .flat import (
     quad_distance,
     quad_hit,
 )
-from .rays import Encounter, Hit, Ray, offset_origin
+from .rays import Encounter, Hit, Ray, offset_origin, unknown_without_ray
 from .sphere import intersect_sphere, sphere_blocks, sphere_distance
 
 Carry = TypeVar("Carry")
@@ -102,7 +102,8 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
         shape: any shape, m.
 
     Returns:
-        The nearest hit in front of the origin; a miss has distance inf.
+        The nearest hit in front of the origin; a miss has distance inf. All numbers are NaN if
+        the ray has one that is NaN or infinite.
 
     Raises:
         ValueError: if the arguments are not a ray and a shape.
@@ -198,7 +199,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         encounter: as `nearest_shape` returns it.
 
     Returns:
-        The hit; a miss if nothing was found.
+        The hit; a miss if nothing was found, NaN for a ray that is not finite.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -225,7 +226,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         triangle = -1 if encounter.primitive is None else encounter.primitive
         hit = triangle_hit(ray, mesh, jnp.where(among, triangle, -1))
         chosen = _choose(among, hit, chosen)
-    return chosen
+    return unknown_without_ray(chosen, ray)
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:

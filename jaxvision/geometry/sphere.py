@@ -12,13 +12,12 @@ from ..core._numerics import (
     or_one,
     replace_gradient,
     safe_sqrt,
-    smallest_divisor,
 )
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Sphere
 from ._size import size_of
-from .rays import Hit, Ray
+from .rays import Hit, Ray, unknown_without_ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
@@ -89,7 +88,8 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     square = or_one(dot(outward, outward), hit)
     normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
     on_sphere = as_vec(sphere.centre) + sphere.radius * normal
-    return Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
+    met = Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
+    return unknown_without_ray(met, ray)
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
@@ -111,7 +111,7 @@ def _crossings(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar, Bool[Array, ""
     discriminant = r * r - dot(closest, closest)
     half_chord = safe_sqrt(discriminant)
     larger = b + jnp.where(b < 0, -half_chord, half_chord)  # the larger root: nothing cancels
-    meets = (discriminant > 0) & (jnp.abs(larger) > smallest_divisor(larger.dtype))
+    meets = discriminant > 0
     away = norm(ray.origin - sphere.centre)
     smaller = divide((away - r) * (away + r), larger, where=meets)
     ahead = b >= 0

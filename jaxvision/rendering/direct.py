@@ -185,11 +185,11 @@ def _radiance_along(scene: Scene, shapes: SortedScene, met: Met, light: Lighting
     if any(emission is not None for emission in emissions):
         emitted = _emission_of(emissions, encounter.shape)
         radiance = radiance + jnp.where(dot(met.leaving.normal, ray.direction) < 0, emitted, 0)
-    if not any(can_be_seen(light) for light in scene.lights):
-        return radiance
-    ahead = nearest_seen(scene.lights, ray)
-    missed = encounter.shape < 0
-    return jnp.where((ahead.distance < met.hit.distance) | missed, ahead.radiance, radiance)
+    if any(can_be_seen(light) for light in scene.lights):
+        ahead = nearest_seen(scene.lights, ray)
+        nearer = (ahead.distance < met.hit.distance) | (encounter.shape < 0)
+        radiance = jnp.where(nearer, ahead.radiance, radiance)
+    return jnp.where(jnp.isnan(met.hit.distance), jnp.nan, radiance)  # no ray, see `hit_shape`
 
 
 def _reflect(

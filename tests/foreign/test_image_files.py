@@ -871,3 +871,10 @@ def test_letters_of_netpbm_end_in_white_space(tmp_path, head):
     file.write_bytes(head + bytes(8 * 6 * 16))
     with pytest.raises(InputError, match=f"begins with b'{head[:3].decode()}'"):
         read_image(file)
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.0", "nan", "-inf"])
+def test_a_pfm_whose_scale_gives_no_order_of_bytes_is_refused(tmp_path, scale):
+    (tmp_path / "a.pfm").write_bytes(f"Pf\n1 1\n{scale}\n".encode() + np.float32(1).tobytes())
+    with pytest.raises(InputError, match=r"its scale is .*, whose sign should give the order"):
+        read_image(tmp_path / "a.pfm")

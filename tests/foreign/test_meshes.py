@@ -259,6 +259,7 @@ def test_normals_of_a_file_are_those_of_its_mesh(tmp_path, suffix):
     [
         ("usemtl red\nf 1 2 3\nusemtl blue\nf 1 3 4\n", r"its 2 materials \(usemtl\)"),
         ("v 0 0 1 1 0 0\nf 1 2 3\n", "the colours of its vertices"),
+        ("v 0 0 1 1.0e+00\nv 0 0 1 2\nf 1 2 3\n", r"the weights w of its vertices \(v x y z w\)"),
         ("f 1 2 3\nl 1 2\np 4\n", r"lines \(l\), points \(p\)"),
         ("call other.obj\nf 1 2 3\n", r"another file \(call\)"),
     ],
@@ -267,7 +268,7 @@ def test_what_an_obj_holds_beside_its_triangles_is_named(tmp_path, more, said):
     (tmp_path / "a.obj").write_text(SQUARE + more)
     with pytest.warns(UserWarning, match=f"not used: {said}"):
         read_mesh(tmp_path / "a.obj")
-    (tmp_path / "b.obj").write_text(SQUARE.replace(" ", "\t") + "usemtl red\nf\t1 2 3\n")
+    (tmp_path / "b.obj").write_text(SQUARE.replace(" ", "\t") + "v 1 1 1 1.0\nf\t1 2 3\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read_mesh(tmp_path / "b.obj").faces) == 1

@@ -710,3 +710,24 @@ def test_pictures_warn_of_a_surface_near_a_wide_lamp():
     assert abs(found / true - 1) > 0.1
     cured = jv.render(scene, view, rule=jv.Balanced(jax.random.key(0), 256))
     assert float(cured.mean()) == pytest.approx(true, rel=0.03)
+
+
+def test_pictures_of_a_camera_at_nan_are_nan():
+    """A black picture would be taken for a dark scene, as by a fit whose step failed."""
+    scene = jv.Scene([FLOOR], [LAMP, jv.environment_map(np.ones((2, 4, 1)))])
+
+    @jax.jit
+    def radiances(position):
+        view = jv.Orthographic(position, DOWN, 0.01, resolution=(1, 2))
+        ray, key = jv.camera_ray(view, jnp.array(0.0), jnp.array(0.0)), jax.random.key(0)
+        method = Paths(samples=2, depth=2)
+        return (
+            jv.render(scene, view),
+            ray_traced(scene, view),
+            path_traced(key, scene, view, method=method).radiance,
+            jv.radiance_along(scene, ray),
+            jv.path_radiance(key, scene, ray, method=method).radiance,
+        )
+
+    assert all((np.asarray(x) > 0).all() for x in radiances(np.array([0.0, 0, 0.5])))
+    assert all(np.isnan(x).all() for x in radiances(np.array([np.nan, 0, 0.5])))

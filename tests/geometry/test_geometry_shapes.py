@@ -355,3 +355,58 @@ def test_the_miss_of_nothing_found_is_a_miss_for_meshes_too():
     hit = hit_shape(ray, [mesh_of(CUBE)], nothing)
     assert jnp.isinf(hit.distance)
     assert (as_array(hit.normal) == 0).all()
+
+
+@pytest.mark.parametrize("size", [1e-15, 1e-12, 1e15, 5e17])
+def test_shapes_of_any_size_are_met_where_those_of_a_metre_are(size):
+    """In float32 the products of lengths leave the range long before the lengths do."""
+    way = unit(np.array([-0.1, 0.1, 2.0]))
+
+    def met(make, scale):
+        shape = as_dtype(make(scale), jnp.float32)
+        one = as_dtype(Ray(np.multiply(scale, [0.4, 0.3, -2.0]), way), jnp.float32)
+        assert problems(shape) == []
+        return float(intersect(one, shape).distance) / scale, int(nearest_shape(one, [shape]).shape)
+
+    for make in (
+        lambda s: TriangleMesh(s * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), [[0, 1, 2]]),
+        lambda s: Quad([0, 0, 0], [s, 0, 0], [0, s, 0]),
+        lambda s: Disc([0, 0, 0], [0, 0, 1], s),
+        lambda s: Sphere([0, 0, 0], s),
+        lambda s: Box([0, 0, 0], [s, s, s]),
+    ):
+        distance, number = met(make, size)
+        assert number == 0
+        assert distance == pytest.approx(met(make, 1.0)[0], rel=1e-5)
+
+
+def test_sizes_beyond_the_range_are_named():
+    for size in (1e-17, 1e19):
+        (said,) = problems(as_dtype(Sphere([0, 0, 0], size), jnp.float32))
+        assert "leave the range of float32" in said
+        assert problems(as_dtype(Sphere([0, 0, 0], size), jnp.float64)) == []
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_ray_that_is_not_finite_has_hits_of_nan(number):
+    shapes = [
+        Sphere([0, 0, 0], 1),
+        Box([0, 0, 0], [1, 1, 1]),
+        Plane([0, 0, 0], [0, 0, 1]),
+        Disc([0, 0, 0], [0, 0, 1], 1),
+        Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]),
+        TriangleMesh([[-1.0, -1, 0], [2, -1, 0], [-1, 2, 0]], [[0, 1, 2]]),
+    ]
+
+    @jax.jit
+    def numbers(origin, direction):
+        one = Ray(origin, direction)
+        hits = [intersect(one, shape) for shape in shapes]
+        hits.append(hit_shape(one, shapes, nearest_shape(one, shapes)))
+        return jnp.stack([jnp.stack([h.distance, h.point.x, h.normal.z]) for h in hits])
+
+    given = np.array([0.1, 0, 5, 0, 0, -1])
+    assert np.isfinite(numbers(given[:3], given[3:])).all()
+    for at in range(6):
+        lost = np.where(np.arange(6) == at, number, given)
+        assert np.isnan(numbers(lost[:3], lost[3:])).all()

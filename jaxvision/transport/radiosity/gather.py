@@ -224,11 +224,11 @@ def _radiance_along(
         exchanged = _gather_irradiance(enclosure, met, gather)
     reflected = enclosure.diffuse[met.surface] * (direct + exchanged)
     own = jnp.where(met.seen, reflected + enclosure.emission[met.surface], 0)
-    if not any(can_be_seen(light) for light in enclosure.lights):
-        return own
-    light = nearest_seen(enclosure.lights, ray)
-    missed = jnp.isinf(met.distance)
-    return jnp.where((light.distance < met.distance) | missed, light.radiance, own)
+    if any(can_be_seen(light) for light in enclosure.lights):
+        light = nearest_seen(enclosure.lights, ray)
+        nearer = (light.distance < met.distance) | jnp.isinf(met.distance)
+        own = jnp.where(nearer, light.radiance, own)
+    return jnp.where(jnp.isnan(met.distance), jnp.nan, own)  # no ray, see `hit_shape`
 
 
 def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
