@@ -10,7 +10,7 @@ lights g is estimated by least squares (Woodham, Optical Engineering 19, 1980). 
 shadows, clipped pixels and highlights are outliers of this model.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -584,11 +584,11 @@ def _contradiction_finding(
     """
     readings = stack.reshape(len(rows), -1)
     counts = _used_readings(rows, readings, between, limits, robust=False)
-    g, _, used = _least_squares(rows, readings, counts.astype(float))
+    g, _, scatter, _ = _least_squares(rows, readings, counts)
     counts &= np.isfinite(g[:, 0])
     residuals = np.where(counts, readings - predicted(rows, g), 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.sqrt(_scatter(rows, readings, counts, g, used)) / np.linalg.norm(g, axis=1)
+        size = np.sqrt(scatter) / np.linalg.norm(g, axis=1)
     lit = size[np.isfinite(size)]
     shared = shared_squares(residuals.reshape(stack.shape), counts.reshape(stack.shape))
     if shared < SHARED or not lit.size or np.median(lit) < SMALL:
@@ -654,8 +654,7 @@ def _contradicted_images(
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
     """Return the images that contradict the other images in most pixels, with findings. Only pixels
     that the other images predict to lie between the limits are counted."""
-    g, _, used = _least_squares(rows, readings, counts.astype(float))
-    scatter = _scatter(rows, readings, counts, g, used)
+    g, _, scatter, used = _least_squares(rows, readings, counts)
     expected = _within_limits(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
     total = np.maximum(expected.sum(axis=1), 1)
     share = (expected & ~counts).sum(axis=1) / total
@@ -768,21 +767,15 @@ def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:
 
 
 def _least_squares(
-    rows: Rows, readings: Readings, weights: Readings
-) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
-    """Return g, its covariance from the scatter of the residuals, and the number of used
-    readings."""
-    g, inverse = solved(rows, readings, weights)
-    used = weights.sum(axis=0).astype(int)
-    return g, inverse * _scatter(rows, readings, weights > 0, g, used)[:, None, None], used
-
-
-def _scatter(
-    rows: Rows, readings: Readings, near: Counted, g: Vectors, used: Int[np.ndarray, " pixels"]
-) -> OfPixels:
-    """Return the variance of a reading about its prediction from g; NaN without residuals."""
+    rows: Rows, readings: Readings, near: Counted
+) -> tuple[Vectors, Matrices, OfPixels, Int[np.ndarray, " pixels"]]:
+    """Return g, its covariance for readings of variance 1, the variance of a reading about its
+    prediction (NaN without residuals), and the number of used readings."""
+    g, inverse = solved(rows, readings, near.astype(float))
+    used = near.sum(axis=0)
     residuals = np.where(near, readings - predicted(rows, g), 0)
-    return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
+    scatter = (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
+    return g, inverse, scatter, used
 
 
 def _within_limits(rows: Rows, g: Vectors, scatter: OfPixels, limits: Limits) -> Counted:
@@ -952,19 +945,20 @@ def _nearest_half(rows: Rows, readings: Readings, counts: Counted) -> OfPixels:
     lie within some distance of each fit; return the smallest such distance."""
     place = np.maximum(counts.sum(axis=0) // 2, AGREE)[None] - 1
     found = np.full(readings.shape[1], np.inf)
-    for three in _triples(len(readings)):
-        weights = np.zeros_like(readings)
-        weights[three] = counts[three].all(axis=0)
-        g, _ = solved(rows, readings, weights)
-        away = np.where(counts, np.abs(readings - predicted(rows, g)), np.inf)
-        away = np.take_along_axis(np.sort(np.nan_to_num(away, nan=np.inf), axis=0), place, axis=0)
-        found = np.minimum(found, away[0])
+    for residuals in _exact_fits(rows, readings, counts):
+        away = np.nan_to_num(np.where(counts, residuals, np.inf), nan=np.inf)
+        found = np.minimum(found, np.take_along_axis(np.sort(away, axis=0), place, axis=0)[0])
     return found
 
 
-def _triples(lights: int) -> list[list[int]]:
-    triples = list(combinations(range(lights), 3))
-    return [list(three) for three in triples[:: -(-len(triples) // TRIPLES)]]
+def _exact_fits(rows: Rows, readings: Readings, counts: Counted) -> Iterator[Readings]:
+    """Yield the absolute residuals of the fit to each set of three readings; NaN in pixels that
+    lack one of the three."""
+    triples = list(combinations(range(len(readings)), 3))
+    for three in map(list, triples[:: -(-len(triples) // TRIPLES)]):
+        weights = np.zeros_like(readings)
+        weights[three] = counts[three].all(axis=0)
+        yield np.abs(readings - predicted(rows, solved(rows, readings, weights)[0]))
 
 
 def _agreeing(
@@ -978,12 +972,9 @@ def _agreeing(
     three of them. The set contains the valid readings even if up to half of the readings are in
     shadow. If `apart` is given, at least a third of the readings in the set are flagged in it."""
     best, most = np.zeros_like(counts), np.zeros(readings.shape[1])
-    for three in _triples(len(readings)):
-        weights = np.zeros_like(readings)
-        weights[three] = counts[three].all(axis=0)
-        g, _ = solved(rows, readings, weights)
+    for residuals in _exact_fits(rows, readings, counts):
         with np.errstate(invalid="ignore"):
-            own = counts & (np.abs(readings - predicted(rows, g)) < tolerance)
+            own = counts & (residuals < tolerance)
         more = own.sum(axis=0) > most
         if apart is not None:
             more &= 3 * (own & apart).sum(axis=0) >= own.sum(axis=0)
@@ -997,8 +988,8 @@ def _contradicted_pixels(
     """Return two masks of pixels. In the first, the readings that contradict the fit are as many as
     those that support it, or nearly as many readings agree on another normal. In the second, the
     readings scatter much more than usual."""
-    g, _, used = _least_squares(rows, readings, counts.astype(float))
-    scatter = np.sqrt(_scatter(rows, readings, counts, g, used))
+    g, _, variance, used = _least_squares(rows, readings, counts)
+    scatter = np.sqrt(variance)
     usual = np.nanmedian(scatter) if np.isfinite(scatter).any() else np.inf
     usual = min(usual, limits[3])
     expected = predicted(rows, g)
@@ -1028,12 +1019,12 @@ def _explained_readings(rows: Rows, readings: Readings, apart: Counted, near: Co
         return found
     own, own_near, own_apart = readings[:, some], near[:, some], apart[:, some]
     rows = take_pixels(rows, some)
-    g, covariance, used = _least_squares(rows, own, own_near.astype(float))
+    g, inverse, scatter, used = _least_squares(rows, own, own_near)
     several = own_apart.sum(axis=0)
     share = used / (used + several)
     cut = ndtri((1 + share) / 2)
     narrower = 1 - 2 * cut * np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / share
-    scatter = _scatter(rows, own, own_near, g, used)
+    covariance = inverse * scatter[:, None, None]
     spelled = "ki,pij,kj->kp" if rows.ndim == 2 else "kpi,pij,kpj->kp"
     variance = scatter + np.einsum(spelled, rows, covariance, rows)
     error = np.sqrt(variance / narrower)
