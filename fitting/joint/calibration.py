@@ -18,6 +18,7 @@ from ..inference.precision import double_precision
 from ..reflectance.from_images.calibration import CORRELATED, NO_GAMMA, encoded_fit
 from ..reflectance.from_images.fit import Adjusted, adjusted_posterior, fit_channel, robust
 from ..reflectance.from_images.optimum import weighed
+from ..reflectance.from_images.perspective import AtOptimum
 from ..reflectance.from_images.pixel_area import recognise_points
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import View, cells_of, select
@@ -117,7 +118,7 @@ def calibrate(
 
     report_steps(0)
     first = fit_turned(observation, brightest, form)
-    observation, as_areas = _recognise_pixel_means(observation, brightest, first), observation
+    observation, as_areas = _recognise_pixel_means(observation, first), observation
     for channel in range(channels):
         known = channel == brightest and observation is as_areas
         fit = first if known else fit_turned(observation, channel, form)
@@ -158,20 +159,28 @@ def _decode_photographs(
     return observation, trial.form.free_gamma
 
 
-def _recognise_pixel_means(observation: Photographs, channel: int, fit: JointFit) -> Photographs:
+def _recognise_pixel_means(observation: Photographs, fit: JointFit) -> Photographs:
     """Test, with the highlights of a fitted channel, whether a pixel's digital number is the mean
     over its area or the value at its centre. Return the photographs, with pixels as points if the
     values are those at centres.
     """
-    seen, known = fit.grid.observation, names(fit.space)  # with the lights as fitted
-    vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]
-    judged = has_lobe(fit.form.model) and np.isfinite(vector).all()
-    if observation.within is None or not judged:
+    seen = fit_of_surface(fit) if fit.grid.observation.within is not None else None
+    if seen is None or not has_lobe(fit.form.model):
         return observation
+    return recognise_points(observation, seen.vector, seen.samples, seen.selection.light)
+
+
+def fit_of_surface(fit: JointFit) -> AtOptimum | None:
+    """Return the surface of a fit with the samples of its channel, with the lights as fitted; None
+    if it has not converged."""
+    seen, known = fit.grid.observation, names(fit.space)
+    vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]
+    if not np.isfinite(vector).all():
+        return None
     chosen = select(seen, held_out=False, form=fit.form)
-    samples = View(seen, channel, chosen).samples(fit.form)
+    samples = View(seen, fit.grid.channel, chosen).samples(fit.form)
     samples = replace(samples, black=np.float64(fit.values["black_level"]))
-    return recognise_points(observation, vector, weighed(vector, samples, None)[0], chosen.light)
+    return AtOptimum(seen, vector, weighed(vector, samples, None)[0], chosen)
 
 
 def is_determined(fit: JointFit) -> bool:

@@ -17,12 +17,14 @@ from ..reflectance.from_images.findings import (
     NOT_CONVERGED,
     quoted,
     said_of_channels,
+    view_findings,
 )
 from ..reflectance.from_images.lights import light_in_shadows
+from ..reflectance.from_images.perspective import AtOptimum
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..report.section import Table
 from ..report.sentences import Finding, Numbers, evaluate_findings
-from .calibration import JointCalibration
+from .calibration import JointCalibration, fit_of_surface
 from .fit import JointFit, image_errors
 from .misfit import APART, NOISE, UnequalPixels, unequal_pixels
 from .model import MISFIT_AT, given_black_level
@@ -44,7 +46,14 @@ def findings(calibration: JointCalibration) -> tuple[str, ...]:
     return (
         *evaluate_findings(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.fits),
+        *view_findings(_brightest_fit(calibration)),
     )
+
+
+def _brightest_fit(calibration: JointCalibration) -> tuple[AtOptimum, ...]:
+    fit = max(calibration.fits, key=lambda own: float(np.max(own.data.cells.mean)))
+    found = fit_of_surface(fit) if fit.converged else None
+    return () if found is None else (found,)
 
 
 def darker_than_darks(observation: Photographs) -> list[Numbers]:

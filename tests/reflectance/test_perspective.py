@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fitting import reflectance
+from fitting import joint, reflectance
+from fitting.joint.findings import findings as joint_findings
 from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.perspective import camera_nearness
 from fitting.rig import Camera
@@ -68,3 +69,12 @@ def test_a_camera_far_away_is_not_named():
     assert abs(found.inverse) < 4 * found.error < 0.02
     assert found.explained < 0.01
     assert not is_named(calibration)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inverse", [0.0, 0.1])
+def test_a_joint_fit_names_it_too(inverse):
+    images, camera = photographs(inverse), Camera(bits=12, black_level=BLACK)
+    seen = joint.from_photographs(images, lights(), camera=camera, normals=NORMALS)
+    named = [one for one in joint_findings(joint.calibrate(seen)) if "directions to the" in one]
+    assert len(named) == (inverse > 0)

@@ -21,7 +21,8 @@ from .calibration import ReflectanceCalibration, mean_residual, open_parameters,
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .lights import SHADOWED, light_in_shadows
-from .perspective import camera_nearness
+from .perspective import AtOptimum, camera_nearness
+from .pixel_area import area_share
 from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # reported residual of a part of the object, of the mean signal
@@ -35,6 +36,7 @@ HOPELESS = 2.0  # relative misfit from which a fit does not describe the images
 FEWEST_IMAGES = 4  # images whose factors determine a scatter
 TEXTURED = 0.7  # share of a pixel's own misfit that remains in the mean over all lights
 NEAR, PERSPECTIVE, EXPLAINS = 5.0, 2.5, 0.1  # standard errors, degrees and share of the residuals
+LITTLE = 0.02  # share of the residuals that a blur must explain
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 OfChannel = tuple[ReflectanceCalibration, ChannelFit]
@@ -46,6 +48,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *evaluate_findings(GIVEN, calibration),
         *said_of_channels(OF_CHANNEL, calibration, calibration.chosen_fits),
         *evaluate_findings(OF_ALL, calibration),
+        *view_findings(_brightest_fit(calibration)),
     )
 
 
@@ -323,16 +326,46 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     return listed(granted)
 
 
-def _perspective(calibration: ReflectanceCalibration) -> Numbers | None:
+def _brightest_fit(calibration: ReflectanceCalibration) -> tuple[AtOptimum, ...]:
+    """Return the fit of the most likely model to the brightest channel, if it converged."""
+    means = [float(np.mean(fit.samples.dn)) for fit in calibration.chosen_fits]
+    fits = (of_model[int(np.argmax(means))] for of_model in calibration.fits.values())
+    fit = max(fits, key=lambda own: own.log_likelihood)
+    if not fit.converged:
+        return ()
+    return (AtOptimum(calibration.observation, fit.vector, fit.samples, calibration.fitted),)
+
+
+def view_findings(fits: Iterable[AtOptimum]) -> tuple[str, ...]:
+    """Return the findings on the camera's distance and focus, from fits of one channel."""
+    lobes = (fit for fit in fits if has_lobe(fit.samples.form.model))
+    return tuple(sentence for fit in lobes for sentence in evaluate_findings(OF_VIEW, fit))
+
+
+def _perspective(fit: AtOptimum) -> Numbers | None:
     """Report highlights that lie where a camera nearby would see them."""
-    fit = max(calibration.chosen_fits, key=lambda own: float(np.mean(own.samples.dn)))
-    if not has_lobe(fit.form.model) or not fit.converged:
-        return None
-    near = camera_nearness(calibration.observation, fit.vector, fit.samples, calibration.fitted)
+    near = camera_nearness(*fit)
     angle, sigmas = np.degrees(near.angle), abs(near.inverse) / near.error
     if not (sigmas > NEAR and angle > PERSPECTIVE and near.explained > EXPLAINS):
         return None
     return {"angle": angle, "share": format_percent(near.explained), "sigmas": sigmas}
+
+
+def _blur(fit: AtOptimum) -> Numbers | None:
+    """Report highlights that are wider or narrower than those of sharp photographs."""
+    found = area_share(fit.vector, fit.samples, fit.selection.light)
+    sigmas = abs(found.share - 1) / found.error
+    if not (sigmas > NEAR and found.explained > LITTLE):
+        return None
+    blurred = found.blur > 0
+    return {
+        "how": "a blur" if blurred else "sharpening",
+        "size": abs(found.blur),
+        "sigmas": sigmas,
+        "share": format_percent(found.explained),
+        "causes": "defocus, motion, demosaicing or resizing" if blurred else "a filter",
+        "wide": "wide and low" if blurred else "narrow and high",
+    }
 
 
 def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
@@ -504,15 +537,6 @@ OF_ALL = (
         " differs from the model, or a wrong assumption of the rig: {assumed}.",
     ),
     Finding(
-        "perspective",
-        _perspective,
-        "The highlights lie as if the directions to the camera differed by up to {angle:.2g}"
-        " degrees from its axis ({sigmas:.0f} standard errors), which explains {share} of the"
-        " squared residuals. The fit takes the camera as far away. If it is near, or the radius or"
-        " the normals are wrong, the numbers of the highlight are off by more than their"
-        " intervals; photograph from farther away.",
-    ),
-    Finding(
         "brightness",
         _brightness,
         "Most of the misfit is one factor for each image: whole images differ from the prediction"
@@ -532,6 +556,27 @@ OF_ALL = (
         " full light. Causes are interreflection, stray light, or a black level that is set too"
         " low. The fit leaves shadows out, and intervals include the effect of an equal amount"
         " of light on all pixels.",
+    ),
+)
+
+OF_VIEW = (
+    Finding(
+        "perspective",
+        _perspective,
+        "The highlights lie as if the directions to the camera differed by up to {angle:.2g}"
+        " degrees from its axis ({sigmas:.0f} standard errors), which explains {share} of the"
+        " squared residuals. The fit takes the camera as far away. If it is near, or the radius or"
+        " the normals are wrong, the numbers of the highlight are off by more than their"
+        " intervals; photograph from farther away.",
+    ),
+    Finding(
+        "blur",
+        _blur,
+        "The images look as after {how} of {size:.2g} pixels (standard deviation; {sigmas:.0f}"
+        " standard errors), which explains {share} of the squared residuals. The fit takes each"
+        " pixel as the mean over its own area. If the cause is {causes}, and not a highlight that"
+        " differs from the model, the fitted highlights are too {wide} by more than their"
+        " intervals; give sharp photographs, or average blocks of pixels wider than the blur.",
     ),
 )
 

@@ -21,6 +21,15 @@ from .signal import Vector, local_geometry
 STEPS, SMALL = 4, 1e-3  # Gauss-Newton steps, and the difference in 1 / D for a slope
 
 
+class AtOptimum(NamedTuple):
+    """A fit to one channel."""
+
+    observation: Photographs
+    vector: Vector
+    samples: Samples
+    selection: Selection
+
+
 class Nearness(NamedTuple):
     """An estimate of 1 / D, where D is the camera's distance in half sides of the frame."""
 

@@ -1,12 +1,14 @@
-"""Test whether pixels are means over their areas, as in cameras, or values at their centres, as in
-many rendered pictures.
+"""Test whether pixels are means over their areas, as in sharp photographs, or values at their
+centres, as in many rendered pictures, or whether the pictures were blurred or sharpened.
 
 A predicted pixel is (1 - a) times the value at its centre plus a times the mean over its area. Fits
 assume a = 1. One Gauss-Newton step from such a fit gives the least-squares estimate of a, with all
-other parameters free.
+other parameters free. To second order in the size of a pixel, a blur with the standard deviation s,
+in pixels, has a = 1 + 12 s^2, because a uniform distribution over a pixel has the variance 1 / 12.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -19,12 +21,25 @@ NEAR, FAR = 3.0, 5.0  # standard errors of a from 0 and from 1 for pixels that a
 MOST = 0.5  # a of points; a surface that no model describes gives any number
 
 
+class AreaShare(NamedTuple):
+    """An estimate of a: 0 where pixels are points, above 1 after a blur."""
+
+    share: float
+    error: float  # standard error, which allows for errors that are shared within images
+    explained: float  # share of the squared residuals that a, if not 1, explains
+
+    @property
+    def blur(self) -> float:
+        """Return the standard deviation of the blur, in pixels; negative after sharpening."""
+        return float(np.sign(self.share - 1) * np.sqrt(abs(self.share - 1) / 12))
+
+
 def recognise_points(
     observation: Photographs, vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
 ) -> Photographs:
     """Return the photographs, with pixels as points if the fit of one channel shows that they are.
     The `samples` have the fit's deviations and means over pixels; `vector` is its optimum."""
-    share, error = _area_share(vector, samples, light)
+    share, error, _ = area_share(vector, samples, light)
     if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
         sentence = (
             "The highlights show the surface at the middle of each pixel, as in many rendered "
@@ -35,22 +50,27 @@ def recognise_points(
     return observation
 
 
-def _area_share(
-    vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
-) -> tuple[float, float]:
-    """Return a and its standard error, which allows for errors that are shared within images."""
+def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]) -> AreaShare:
+    """Return the estimate of a at the optimum `vector` of a fit to one channel."""
     root = 1 / samples.deviation
     if samples.saturated is not None:
         root = np.where(samples.saturated, 0, root)
     exact = predict(vector, samples)
     middle = predict(vector, replace(samples, offset=None, points=()))
     others, _ = np.linalg.qr((exact.slopes * root).T)
-    area = (exact.dn - middle.dn) * root
-    area -= others @ (others.T @ area)
+
+    def residual(dn: np.ndarray) -> np.ndarray:
+        """Return what the fitted parameters cannot explain, in standard deviations."""
+        scaled = dn * root
+        return scaled - others @ (others.T @ scaled)
+
+    area, left = residual(exact.dn - middle.dn), residual(samples.dn - exact.dn)
     squares = np.bincount(light, area**2)
     if not squares.any():
-        return 1.0, np.inf
-    pulls = np.bincount(light, area * (samples.dn - exact.dn) * root)
+        return AreaShare(1.0, np.inf, 0.0)
+    pulls = np.bincount(light, area * left)
     change = pulls.sum() / squares.sum()
     scatter = np.sum((pulls - change * squares) ** 2)
-    return float(1 + change), float(np.sqrt(max(scatter, squares.sum())) / squares.sum())
+    error = np.sqrt(max(scatter, squares.sum())) / squares.sum()
+    explained = change * pulls.sum() / max(left @ left, 1e-300)
+    return AreaShare(float(1 + change), float(error), float(explained))
