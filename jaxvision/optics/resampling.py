@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers, warn_caller
 from ..core._types import Image, Scalars, check_choice, is_known, print_by_name
 from ..scene import Pinhole, ThinLens
-from ._folds import folded_share
+from ..scene.folds import folded_share
 from .distortion import distort, undistort
 from .views import pixel_grid, pixel_offset, sensor_vergence
 

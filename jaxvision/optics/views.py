@@ -20,13 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers, warn_caller
+from ..core._arguments import takes_numbers
 from ..core._numerics import divide, norm, normalize
 from ..core._types import Scalar, check_kind, is_known
 from ..core._vector import Vec, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Distortion, Orthographic, Pinhole, ThinLens, View
-from ._folds import folded_share
 from .aperture import aperture_point
 from .distortion import distort, undistort
 from .thin_lens import image_vergence
@@ -152,11 +151,6 @@ def opencv_view(
         shift=(k[:2, 2] - middle) / k[0, 0],
         stretch=k[1, 1] / k[0, 0],
     )
-    if share := folded_share(distortion, 1 / k[0, 0], resolution):
-        warn_caller(
-            f"opencv_view: {100 * share:.2g} % of the pixels lie beyond the fold of the "
-            "distortion, where no light falls; correct the coefficients."
-        )
     focal_length = k[0, 0] * pixel_pitch
     return Pinhole(
         -pose.T @ moved,

@@ -1,6 +1,7 @@
 """The records of a camera's projection, which gives the ray of each pixel."""
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from ..core._shown import Shown
@@ -18,6 +19,8 @@ from ..core._types import (
     is_known,
     print_by_name,
 )
+from ..core._warnings import warn_caller
+from .folds import folded_share
 from .lenses import (
     Aperture,
     CircularAperture,
@@ -178,3 +181,20 @@ def _check_view(view: View, **ranges: Range) -> None:
         raise ValueError(f"{name}.resolution must be (rows, columns), got {view.resolution!r}.")
     for size in view.resolution:
         check_count(f"{name}.resolution", size, 1)
+    if isinstance(view, Pinhole | ThinLens) and view.distortion is not None:
+        _name_folds(name, view)
+
+
+def _name_folds(name: str, view: Pinhole | ThinLens) -> None:
+    """Warn of pixels beyond the fold of a known distortion."""
+    focus = view.focus_distance if isinstance(view, ThinLens) else None
+    sizes = view.focal_length, view.pixel_pitch, focus
+    if not all(map(is_known, jax.tree.leaves((sizes, view.distortion)))):
+        return
+    vergence = 1 / float(view.focal_length) - (0.0 if focus is None else 1 / float(focus))
+    share = folded_share(view.distortion, float(view.pixel_pitch) * vergence, view.resolution)
+    if share:
+        warn_caller(
+            f"{name}.distortion: {100 * share:.2g} % of the pixels lie beyond the fold of the "
+            "distortion, where no light falls; correct the coefficients."
+        )

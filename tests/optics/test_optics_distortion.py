@@ -14,6 +14,7 @@ import pytest
 
 from jaxvision import as_array, optics
 from jaxvision import scene as s
+from jaxvision.files import read_scene
 
 EYE = np.eye(3)
 BARREL = s.Distortion([-0.28, 0.07], [1e-3, -2e-3])
@@ -251,12 +252,26 @@ def test_what_opencv_calibrates_beyond_the_model_is_refused():
 CHEAP = np.array([[43.0, 0, 20.0], [0, 43.0, 19.9], [0, 0, 1]])
 
 
-@pytest.mark.parametrize(("k1", "share"), [(-0.2, 0), (-0.525, 0.0725), (-1.2, 0.5575)])
-def test_pixels_beyond_a_fold_are_counted(k1, share):
-    """Against pixels from which no slope is found; bad calibrations have such pixels."""
+def said_of_folds(make):
+    """Return the shares in %, that are named while a view is made."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        view = optics.opencv_view(CHEAP, coefficients=[k1, 0, 0, 0], resolution=(40, 40))
+        view = make()
+    found = [re.search(r": ([\d.]+) % of the pixels", str(w.message)) for w in said]
+    return view, [float(share[1]) for share in found]
+
+
+@pytest.mark.parametrize(
+    ("k1", "p1", "share"),
+    [(-0.2, 0, 0), (-0.525, 0, 0.0725), (-1.2, 0, 0.5575), (0, 0.3, 0.2475), (-0.1, 1e-3, 0)],
+)
+def test_pixels_beyond_a_fold_are_counted(k1, p1, share):
+    """Against pixels from which no slope is found; bad calibrations have such pixels, and those
+    that give k3 where p1 stands."""
+    coefficients = [k1, 0, p1, 0]
+    view, named = said_of_folds(
+        lambda: optics.opencv_view(CHEAP, coefficients=coefficients, resolution=(40, 40))
+    )
     right, down = np.meshgrid((np.arange(40) - 19.5) / 43, (np.arange(40) - 19.5) / 43)
 
     def back(x, y):
@@ -265,8 +280,45 @@ def test_pixels_beyond_a_fold_are_counted(k1, share):
     met = jax.vmap(back)(a(right.ravel()), a(down.ravel())).T
     off = np.hypot(*(np.asarray(met) - [right.ravel(), down.ravel()])) > 1e-3
     np.testing.assert_allclose(off.mean(), share, atol=0.02)
-    named = [float(re.search(r": ([\d.]+) % of the pixels", str(w.message))[1]) for w in said]
     np.testing.assert_allclose(named, [100 * off.mean()] if share else [], atol=1)
+
+
+def test_a_fold_is_named_wherever_a_view_is_made(tmp_path):
+    sizes, folded = ([0, 0, 0], np.eye(3), 0.043, 1e-3), s.Distortion([-0.525])
+    for make in (
+        lambda: s.Pinhole(*sizes, resolution=(40, 40), distortion=folded),
+        lambda: s.ThinLens(*sizes, f_number=4.0, resolution=(40, 40), distortion=folded),
+    ):
+        np.testing.assert_allclose(said_of_folds(make)[1], [7.25], atol=1)
+    near = {"f_number": 4.0, "focus_distance": 0.086, "resolution": (40, 40)}  # sensor at 2 f
+    assert said_of_folds(lambda: s.ThinLens(*sizes, **near, distortion=folded))[1] == []
+    text = """
+    [camera]
+    kind = "thin_lens"
+    position = [0.0, 0.0, 0.0]
+    target = [0.0, 0.0, 1.0]
+    up = [0.0, 1.0, 0.0]
+    resolution = [40, 40]
+    focal_length = 0.043
+    pixel_pitch = 1e-3
+    f_number = 4.0
+    distortion = { radial = [-0.525] }
+    [material.grey]
+    family = "lambert"
+    albedo = [0.5, 0.5, 0.5]
+    [[surface]]
+    shape = "sphere"
+    centre = [0.0, 0.0, 3.0]
+    radius = 1.0
+    material = "grey"
+    [[light]]
+    kind = "point"
+    position = [0.0, 0.0, 0.0]
+    intensity = [1.0, 1.0, 1.0]
+    """
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.warns(UserWarning, match=r"scene.toml: .*ThinLens.distortion: [678].* % of the"):
+        read_scene(tmp_path / "scene.toml")
 
 
 def test_a_picture_that_is_undistorted_beyond_a_fold_is_named():
@@ -274,7 +326,7 @@ def test_a_picture_that_is_undistorted_beyond_a_fold_is_named():
         folded = optics.opencv_view(CHEAP, coefficients=[-1.2, 0, 0, 0], resolution=(40, 40))
     plain = optics.opencv_view(CHEAP, coefficients=[-0.3, 0, 0, 0], resolution=(40, 40))
     picture = jnp.ones((40, 40, 1))
-    with pytest.warns(UserWarning, match=r"9\.5 % of the pixels lie beyond the fold"):
+    with pytest.warns(UserWarning, match=r"8\.5 % of the pixels lie beyond the fold"):
         optics.undistort_image(folded, picture)
     with pytest.warns(UserWarning, match="% of the pixels lie beyond the fold"):
         optics.distort_image(folded, picture)

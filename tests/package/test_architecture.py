@@ -216,7 +216,8 @@ def test_what_serves_every_kind_imports_none(place):
 
 def test_scene_holds_records_only():
     taken = {name for name in rooms("jaxvision")["scene"] if name.startswith("jaxvision.core.")}
-    known = {f"jaxvision.core.{module}" for module in ("_maps", "_types", "_shown", "lazy_names")}
+    modules = ("_maps", "_shown", "_types", "_warnings", "lazy_names")
+    known = {f"jaxvision.core.{module}" for module in modules}
     assert neighbours("jaxvision")["scene"] == {"core"}
     assert {".".join(name.split(".")[:3]) for name in taken} == known
     files = (ROOT / "jaxvision" / "scene").glob("*.py")

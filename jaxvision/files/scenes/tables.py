@@ -18,6 +18,7 @@ from jaxtyping import Float
 from ...brdf import families
 from ...core._kinds import Measured, Photometry, Picture, Table
 from ...core._types import POSITIVE, Colour, Range, members_of
+from ...core._warnings import one_call
 from ...errors import InputError
 from ...lights import kinds
 from ...optics import look_at, opencv_view
@@ -184,6 +185,7 @@ def _orthographic(resolution: tuple[int, int], *, width: Size, **placed: Any) ->
     return Orthographic(pixel_pitch=width / resolution[1], resolution=resolution, **placed)
 
 
+@one_call()
 def _pinhole(
     resolution: tuple[int, int],
     *,
