@@ -38,6 +38,7 @@ EAGER = {
     "jaxvision.files.materials",
     "jaxvision.files.records",
     "jaxvision.files.gltf",
+    "jaxvision.scene.folds",
     "jaxvision.files.meshes",
     "jaxvision.render_command",
     "jaxvision.render_command.cost",

@@ -14,7 +14,8 @@ from ..programs import targets_cpu
 from ..scene import TriangleMesh
 from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
-from .rays import Hit, Ray, unknown_without_ray
+from ._unknown import unknown_without_ray
+from .rays import Hit, Ray
 
 _TRIED = 100  # triangles; for more, Embree's tree is faster on a CPU than testing each triangle
 _TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays must be copied to the CPU

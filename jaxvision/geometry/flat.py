@@ -20,8 +20,9 @@ from ..core._types import Scalar
 from ..core._vector import Vec, Vector, as_vec, masked
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
+from ._unknown import unknown_without_ray
 from .hemisphere import cross
-from .rays import Hit, Ray, unknown_without_ray
+from .rays import Hit, Ray
 
 
 def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:

@@ -27,6 +27,7 @@ from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
+from ._unknown import unknown_without_ray
 from .box import box_distance, box_hit, intersect_box
 from .checks import warn_if_coarse
 from .flat import (
@@ -41,7 +42,7 @@ from .flat import (
     quad_distance,
     quad_hit,
 )
-from .rays import Encounter, Hit, Ray, offset_origin, unknown_without_ray
+from .rays import Encounter, Hit, Ray, offset_origin
 from .sphere import intersect_sphere, sphere_blocks, sphere_distance
 
 Carry = TypeVar("Carry")

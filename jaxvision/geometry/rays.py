@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Int
 
 from ..core._arguments import check_unit, takes_numbers
 from ..core._numerics import angle_between as angle_between
@@ -83,17 +83,6 @@ class Hit(Shown):
     size: Scalar
     shading_normal: Vec | None = None
     uv: tuple[Scalar, Scalar] | None = None
-
-
-def without_ray(ray: Ray) -> Bool[Array, ""]:
-    """Return whether a number of the ray is NaN or infinite, so that its hits are unknown."""
-    return ~jnp.isfinite(sum(jax.tree.leaves(ray)))
-
-
-def unknown_without_ray(hit: Hit, ray: Ray) -> Hit:
-    """Return the hit, of which every number is NaN if the ray has one that is not finite."""
-    lost = without_ray(ray)
-    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), hit)
 
 
 @takes_numbers

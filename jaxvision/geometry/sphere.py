@@ -17,7 +17,8 @@ from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Sphere
 from ._size import size_of
-from .rays import Hit, Ray, unknown_without_ray
+from ._unknown import unknown_without_ray
+from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:

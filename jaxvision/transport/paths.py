@@ -39,7 +39,6 @@ from ..core._shown import Shown
 from ..core._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
 from ..core.parallel_loops import fori_loop, scan, while_loop
 from ..geometry import Ray
-from ..geometry.rays import without_ray
 from ..rendering import Along, PixelSamples, Traced, photograph
 from ..rendering.pixel_loop import mean_of_samples
 from ..scene import Scene, View
@@ -159,7 +158,8 @@ def _walk(
     def start(ray: Ray, pixel: Word) -> _Path:
         # a zero that depends on the path, so that under `vmap` the whole state is batched at once
         zero = (0 * pixel).astype(ray.origin.x.dtype)
-        radiance = jnp.where(without_ray(ray), jnp.nan, zero)
+        finite = jnp.isfinite(sum(jax.tree.leaves(ray)))
+        radiance = jnp.where(finite, zero, jnp.nan)  # of a ray at NaN as of its hits
         return _Path(
             ray,
             (zero + 1,) * world.bands,
