@@ -84,7 +84,8 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """Refuse a node that has both a matrix and another transform, or a rotation of length 0."""
+    """Refuse a node that has both a matrix and another transform, a matrix that is not affine, or a
+    rotation of length 0."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):
@@ -94,11 +95,61 @@ def _check_places(file: Path, content: Mapping[str, Any]) -> None:
             raise InputError(
                 f"{file}: nodes[{i}] has a {beside[0]} beside its matrix; leave one of them."
             )
+        matrix = node.get("matrix")
+        last = matrix[3::4] if isinstance(matrix, list) else []
+        known = len(last) == 4 and all(isinstance(x, int | float) for x in last)
+        if known and not np.allclose(last, [0, 0, 0, 1], rtol=0, atol=1e-6):
+            raise InputError(
+                f"{file}: nodes[{i}] has a matrix whose last row is {last}, where glTF has "
+                "[0, 0, 0, 1]; store it by columns, and divide it by its last number."
+            )
         turn = node.get("rotation")
         if isinstance(turn, list) and turn and not any(turn):
             raise InputError(
                 f"{file}: nodes[{i}] has a rotation of length 0; write [0, 0, 0, 1] for none."
             )
+
+
+def unread_by_trimesh(file: Gltf) -> list[str]:
+    """List, in words, the parts of a file that trimesh drops. Raise `InputError` for points that it
+    misreads, of sparse accessors or integers."""
+    found: dict[str, None] = {}  # in order, each once
+    nodes, meshes = (_objects(file.content.get(kind)) for kind in ("nodes", "meshes"))
+    for node in nodes:
+        if "skin" in node:
+            found["skins, which pose meshes"] = None
+        if _value_of(node.get("extensions"), "EXT_mesh_gpu_instancing") is not None:
+            found["copies of meshes (EXT_mesh_gpu_instancing)"] = None
+    weighed = [entry for entry in nodes + meshes if isinstance(entry.get("weights"), list)]
+    if any(any(entry["weights"]) for entry in weighed):
+        found["weights, which deform meshes"] = None
+    for part in (part for mesh in meshes for part in _objects(mesh.get("primitives"))):
+        if part.get("mode", 4) not in (4, 5):
+            found["points, lines or fans"] = None
+        index = _value_of(part.get("attributes"), "POSITION")
+        if type(index) is int and part.get("mode", 4) in (4, 5):
+            accessor, label = _full_accessor(file, index)
+            if accessor.get("componentType") != 5126:
+                raise InputError(
+                    f"{label}: points that are stored as integers (KHR_mesh_quantization) are not "
+                    "read; export the file without."
+                )
+    return list(found)
+
+
+def _full_accessor(file: Gltf, index: Any) -> tuple[dict[str, Any], str]:
+    accessor, label = file.item("accessors", index), f"{file.path}: accessors[{index}]"
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise InputError(f"{label}: sparse accessors are not read; export it without.")
+    return accessor, label
+
+
+def _objects(entries: Any) -> list[dict[str, Any]]:
+    return [x for x in entries if isinstance(x, dict)] if isinstance(entries, list) else []
+
+
+def _value_of(entry: Any, key: str) -> Any:
+    return entry.get(key) if isinstance(entry, dict) else None
 
 
 def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
@@ -169,9 +220,7 @@ def image_bytes(file: Gltf, index: int) -> bytes:
 
 def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
     """Return the numbers of an accessor, (count, width)."""
-    accessor, label = file.item("accessors", index), f"{file.path}: accessors[{index}]"
-    if "sparse" in accessor or "bufferView" not in accessor:
-        raise InputError(f"{label}: sparse accessors are not read; export it without.")
+    accessor, label = _full_accessor(file, index)
     count = accessor.get("count")
     kind = _value(_TYPES, accessor.get("componentType"))
     whole = width == 1  # indices are integers, points are floating numbers

@@ -33,7 +33,7 @@ from ._polygons import (
     ply_of_corners,
     polygons_of,
 )
-from .gltf import SUFFIXES, Gltf, primitive_of, read_gltf
+from .gltf import SUFFIXES, Gltf, primitive_of, read_gltf, unread_by_trimesh
 
 Vector = Sequence[float | int] | np.ndarray
 Axes = Sequence[Vector] | np.ndarray
@@ -260,8 +260,8 @@ def _load(file: Path):
             f"{file}: {file.suffix!r} is not a mesh format that trimesh reads; convert the file to "
             "OBJ, PLY or GLB."
         )
-    if file.suffix.lower() in SUFFIXES:
-        read_gltf(file)  # refuses files that trimesh would misread
+    if file.suffix.lower() in SUFFIXES and (unread := unread_by_trimesh(read_gltf(file))):
+        warn(f"{file}: not used: {', '.join(unread)}.")
     try:
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()

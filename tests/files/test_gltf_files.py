@@ -286,3 +286,57 @@ def test_other_scenes_of_a_file_are_named(tmp_path):
 def test_a_version_above_2_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"version 2\.1 at least"):
         read(tmp_path, asset={"version": "2.0", "minVersion": "2.1"})
+
+
+def mesh_of(folder, made):
+    (folder / "a.gltf").write_text(json.dumps(made))
+    return read_mesh(folder / "a.gltf")
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"sparse": {"count": 1}}, "sparse accessors are not read"),
+        ({"componentType": 5122, "normalized": True}, "stored as integers"),
+    ],
+)
+def test_points_that_trimesh_would_misread_are_refused(changed, said, tmp_path):
+    made = content()
+    assert mesh_of(tmp_path, made).vertices.shape == (4, 3)
+    made["accessors"][0] |= changed
+    with pytest.raises(InputError, match=said):
+        mesh_of(tmp_path, made)
+
+
+def test_a_matrix_that_is_not_affine_is_refused(tmp_path):
+    made = content()
+    made["nodes"][0]["matrix"] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]
+    assert float(mesh_of(tmp_path, made).vertices.max()) == 6
+    made["nodes"][0]["matrix"][15] = 2
+    with pytest.raises(InputError, match=r"last row is \[0, 0, 0, 2\]"):
+        mesh_of(tmp_path, made)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c["nodes"][0].update(skin=0), "skins"),
+        (lambda c: c["nodes"][0].update(weights=[0, 0.5]), "weights"),
+        (lambda c: c["meshes"][0].update(weights=[1.0]), "weights"),
+        (
+            lambda c: c["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}),
+            "copies of meshes",
+        ),
+        (
+            lambda c: c["meshes"][0]["primitives"].append(
+                {"attributes": {"POSITION": 0}, "mode": 6}
+            ),
+            "points, lines or fans",
+        ),
+    ],
+)
+def test_what_a_mesh_of_gltf_drops_is_named(change, said, tmp_path):
+    made = content()
+    change(made)
+    with pytest.warns(UserWarning, match=f"not used: {said}"):
+        assert len(mesh_of(tmp_path, made).faces) == 2
