@@ -345,6 +345,11 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     size = [line_numbers(i).take_number(f"line {i}", 0, 1e5) / 1000 for i in (16, 17, 18)]  # m
     ratio = line_numbers(23).take_number("light output ratio (line 23)", 0, 1e4)
     factor = line_numbers(24).take_number("conversion factor (line 24)", 0, 1e6)
+    if tilt := line_numbers(25).take_number("tilt (line 25)", -360, 360):
+        warn(
+            f"{path}: was measured at a tilt of {tilt:g} degrees (line 25), which is not used; "
+            "turn the light by it where the intensities are those of the tilted luminaire."
+        )
     sets = line_numbers(26).count("number of lamp sets (line 26)", 1, 20)
     start = 26 + 6 * sets
     flux_line, watts_line = _first_lamp_set(path, lines[26:start], sets)

@@ -172,6 +172,13 @@ def test_sets_of_lamps_are_read_in_either_order(tmp_path):
         read(tmp_path, "\r\n".join(lines), "lamp.ldt")
 
 
+def test_the_tilt_of_a_measurement_is_named(tmp_path):
+    lines = eulumdat(1, [0], np.cos(np.radians(GAMMA)) * 1000 / np.pi).split("\r\n")
+    lines[24] = "15"
+    with pytest.warns(UserWarning, match=r"at a tilt of 15 degrees \(line 25\), which is not used"):
+        read(tmp_path, "\r\n".join(lines), "lamp.ldt")
+
+
 def test_light_that_the_lamps_do_not_have_is_told(tmp_path):
     with pytest.warns(UserWarning, match=r"3.14e.04 lm leave a luminaire whose lamps give 3142 lm"):
         read(tmp_path, ies(multiplier=10))
