@@ -23,8 +23,10 @@ import numpy as np
 
 from ....core._warnings import warn
 from ....errors import InputError
+from ..nodes import Node
+from ..placement import SHINES_TO_ONE_SIDE
 from .camera import camera_of
-from .document import Node, root_of
+from .document import root_of
 from .materials import material_of
 from .shapes import shape_of
 from .spectra import light_of
@@ -75,7 +77,7 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
         made["emission"] = light_of(emitter, "radiance", 1.0)
         emitter.must_be_read(without=("sampling_weight",))
         if two_sided and made["shape"] in ("quad", "disc", "mesh"):
-            warn(f"{node.label}: shines to one side, and so reflects from that side only.")
+            warn(f"{node.label}: {SHINES_TO_ONE_SIDE}")
         two_sided = False
     if (
         made["shape"] == "mesh"

@@ -6,8 +6,8 @@ import numpy as np
 
 from ....core._warnings import warn
 from ....errors import InputError
-from .document import Node
-from .transforms import Affine, keeps_shape, lengths_of_axes, mirrors
+from ..nodes import Node
+from ..placement import pose, thin_lens
 
 SENSORS = ("perspective", "thinlens", "orthographic")
 _DIAGONAL = float(np.hypot(36, 24))  # mm, of the film to which `focal_length` refers
@@ -21,14 +21,10 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only_child("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
-    if kind == "orthographic":  # a scaling along the axis does not change the picture
-        across, along = lengths_of_axes(to_world)[[0, 2]]
-        to_world = to_world @ np.diag([1, 1, across / along, 1])
-    if mirrors(to_world) or not keeps_shape(to_world):
-        raise node.wrong("to_world mirrors or stretches the picture; correct it.")
-    made = {"resolution": [rows, columns], **_pose(to_world)}
+    made, unit = pose(node, to_world, orthographic=kind == "orthographic")
+    made["resolution"] = [rows, columns]
     if kind == "orthographic":
-        made |= {"kind": "orthographic", "width": float(2 * lengths_of_axes(to_world)[0])}
+        made |= {"kind": "orthographic", "width": 2 * unit}
     else:
         half_width = _half_width(node, rows / columns)
         degrees = float(2 * np.degrees(np.arctan(half_width)))
@@ -49,17 +45,6 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
         )
     node.must_be_read(tags=("film", "sampler"), without=_UNUSED)
     return made, count
-
-
-def _pose(to_world: Affine) -> dict[str, Any]:
-    """Return the position and orientation of a camera that looks along its z axis, with y up."""
-    position = to_world[:3, 3]
-    _, up, forward = (to_world[:3, :3] / lengths_of_axes(to_world)).T
-    return {
-        "position": position.tolist(),
-        "target": (position + forward).tolist(),
-        "up": up.tolist(),
-    }
 
 
 def _resolution(film: Node | None, label: str) -> tuple[int, int]:
@@ -110,8 +95,7 @@ def _half_width(node: Node, rows_per_column: float) -> float:
 
 
 def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
-    """Return the keys of a thin lens with a short focal length, focused at a distance s. The sensor
-    is at the image distance v of s, and its width follows from the field of view at v."""
+    """Return the keys of the thin lens of a sensor."""
     radius = node.take("aperture_radius", float)
     distance = node.take("focus_distance", float)
     if radius is None or distance is None or radius <= 0 or distance <= 0:
@@ -119,12 +103,4 @@ def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
             "a thin lens takes an aperture_radius and a focus_distance above 0; use "
             "perspective for a pinhole."
         )
-    focal_length = distance / 100
-    image = focal_length * distance / (distance - focal_length)
-    return {
-        "kind": "thin_lens",
-        "focal_length": focal_length,
-        "pixel_pitch": 2 * half_width * image / columns,
-        "f_number": focal_length / (2 * radius),
-        "focus_distance": distance,
-    }
+    return thin_lens(half_width, columns, radius, distance)

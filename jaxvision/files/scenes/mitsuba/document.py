@@ -4,7 +4,6 @@ are resolved."""
 import re
 import xml.etree.ElementTree as xml
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from ....errors import InputError, nearest, plain_text
 from ..._plain_content import DEEPEST, check_size
+from ..nodes import Blackbody, Colour, Flat, Node, Table
 from .transforms import check_attributes, transform_of
 
 _PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
@@ -20,141 +20,6 @@ _ATTRIBUTES = {  # besides the name
     "spectrum": ("value", "filename"),
 }
 _MAX_DEPTH = 16  # largest depth of files that include each other
-
-
-@dataclass(frozen=True)
-class Colour:
-    """A colour in linear sRGB: three numbers, or one for all channels."""
-
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Flat:
-    """A spectrum with one value at all wavelengths."""
-
-    value: float
-
-
-@dataclass(frozen=True)
-class Table:
-    """A spectrum as pairs of a wavelength, in nm, and a value."""
-
-    pairs: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class Blackbody:
-    """The spectrum of a black body by Planck's law, in W m^-2 sr^-1 per nm."""
-
-    kelvin: float
-
-
-@dataclass
-class Node:
-    """An object of a Mitsuba scene. An element that no function has read is not supported, which is
-    an error.
-
-    Attributes:
-        tag: the tag of the element, such as "shape" or "bsdf".
-        kind: the attribute `type` of the element.
-        label: the name of the object in messages.
-        values: parameters by name.
-        parts: nested objects, each with its own name or the name of its reference.
-        old: whether the file is of a version before 2, which has other default values.
-    """
-
-    tag: str
-    kind: str
-    label: str
-    values: dict[str, Any] = field(default_factory=dict)
-    parts: list[tuple[str, "Node"]] = field(default_factory=list)
-    old: bool = False
-    _taken: set[str] = field(default_factory=set)
-
-    def wrong(self, what: str) -> InputError:
-        """Return the error for this object."""
-        return InputError(f"{self.label}: {what}")
-
-    def filename(self) -> str:
-        """Return the value of `filename`; `InputError` if there is none."""
-        name = self.take("filename", str)
-        if name is None:
-            raise self.wrong("has no filename; add it.")
-        return name
-
-    def distribution(self) -> str:
-        """Return the name of the facet distribution of a rough BSDF."""
-        word = self.take("distribution", str, "beckmann")
-        if word not in ("beckmann", "ggx"):
-            raise self.wrong("distribution must be 'beckmann' or 'ggx'.")
-        return word
-
-    def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
-        """Return the value with that name; `InputError` if it has another type."""
-        self._taken.add(name)
-        if any(called == name for called, _ in self.parts):
-            part = next(part for called, part in self.parts if called == name)
-            raise self.wrong(
-                f"{name} is a {part.tag} (type {part.kind!r}), which is not read; "
-                "give one colour, as in <rgb>."
-            )
-        value = self.values.get(name, otherwise)
-        kinds = kinds if isinstance(kinds, tuple) else (kinds,)
-        if float in kinds and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        # a transform and a point are both arrays, of different shapes
-        fits = isinstance(value, kinds) and (
-            not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
-        )
-        if value is not otherwise and not fits:
-            raise self.wrong(f"{name} is of an unexpected kind; correct it.")
-        return value
-
-    def texture(self, name: str) -> "Node | None":
-        """Return the child `<texture>` with that name, or None."""
-        found = [part for called, part in self.parts if called == name and part.tag == "texture"]
-        self._taken |= {name} if found else set()
-        return found[0] if found else None
-
-    def children(self, tag: str) -> list["Node"]:
-        """Return the child objects with a tag."""
-        return [part for _, part in self.parts if part.tag == tag]
-
-    def only_child(self, tag: str) -> "Node | None":
-        """Return the child object with a tag, or None; `InputError` if there are several."""
-        found = self.children(tag)
-        if len(found) > 1:
-            raise self.wrong(f"has {len(found)} of <{tag}>; leave one.")
-        return found[0] if found else None
-
-    def must_be(self, *known: str) -> str:
-        """Return the type of the object. Raise `InputError` for a type that is not supported."""
-        if self.kind not in known:
-            words = ", ".join(known)
-            raise self.wrong(
-                f"type {self.kind!r} is not read; those of <{self.tag}> that are: {words}."
-            )
-        return self.kind
-
-    def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
-        """Raise `InputError` for the first value or child object that no function has read. Objects
-        with a tag in `tags` count as read, and so do values with a name in `without`, which have no
-        effect in this library.
-        """
-        for name in self.values:
-            if name not in self._taken and name not in without:
-                hint = nearest(name, self._taken) if self._taken else "remove it"
-                raise InputError(
-                    f"{self.label} (type {self.kind!r}): {name!r} is not read; {hint}, or remove "
-                    "it if the picture may do without."
-                )
-        for name, part in self.parts:
-            if part.tag not in tags and not (part.tag == "texture" and name in self._taken):
-                raise self.wrong(
-                    f"holds <{part.tag} type={part.kind!r}>, which is not read; "
-                    "remove it if the picture may do without."
-                )
 
 
 def root_of(file: Path) -> Node:

@@ -5,7 +5,7 @@ from typing import Any
 
 from ....brdf.fresnel import Dielectric, mean_reflectance
 from ....core._warnings import warn
-from .document import Node
+from ..nodes import Node
 from .spectra import SPECTRUM, index_of, map_of, reflectance_of
 
 # Refractive indices by Mitsuba's names: published measurements near 589 nm.

@@ -4,13 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from .document import Node
-from .transforms import (
+from ..nodes import Node
+from ..placement import (
     Affine,
+    disc,
     keeps_right_angles,
-    keeps_shape,
     lengths_of_axes,
     mirrors,
+    placed,
+    sphere,
 )
 
 SHAPES = ("sphere", "rectangle", "disk", "cube", "obj", "ply")
@@ -24,11 +26,13 @@ def shape_of(node: Node) -> dict[str, Any]:
     flip = node.take("flip_normals", bool, False)
     match kind:
         case "sphere":
-            return _sphere(node, to_world, flip)
+            centre = node.take("center", np.ndarray, np.zeros(3))
+            _not_inside_out(node, flip)
+            return sphere(node, to_world, centre, node.take("radius", float, 1.0))
         case "rectangle":
             return _quad(to_world, flip)
         case "disk":
-            return _disc(node, to_world, flip)
+            return disc(node, to_world, flip)
         case "cube":
             return _box(node, to_world, flip)
         case _:
@@ -41,19 +45,6 @@ def shape_of(node: Node) -> dict[str, Any]:
             }
 
 
-def _sphere(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    centre = node.take("center", np.ndarray, np.zeros(3))
-    radius = node.take("radius", float, 1.0)
-    if not keeps_shape(to_world):
-        raise node.wrong("is stretched to an ellipsoid; give it as a mesh.")
-    _not_inside_out(node, flip)
-    return {
-        "shape": "sphere",
-        "centre": _point(to_world, centre),
-        "radius": float(radius * lengths_of_axes(to_world)[0]),
-    }
-
-
 def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
     """Convert the square [-1, 1] x [-1, 1], whose front faces z."""
     u, v = (2 * to_world[:3, axis] for axis in (0, 1))
@@ -61,22 +52,9 @@ def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
         u, v = v, u
     return {
         "shape": "quad",
-        "corner": _point(to_world, np.array([-1.0, -1.0, 0.0])),
+        "corner": placed(to_world, np.array([-1.0, -1.0, 0.0])),
         "edge_u": u.tolist(),
         "edge_v": v.tolist(),
-    }
-
-
-def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    """Convert the disc of radius 1, whose front faces z."""
-    if not keeps_shape(to_world, axes=2):
-        raise node.wrong("is stretched to an ellipse; give it as a mesh.")
-    normal = np.linalg.inv(to_world[:3, :3])[2]  # normals are transformed by the transposed inverse
-    return {
-        "shape": "disc",
-        "centre": _point(to_world, np.zeros(3)),
-        "normal": (-normal if flip else normal).tolist(),
-        "radius": float(lengths_of_axes(to_world)[0]),
     }
 
 
@@ -91,7 +69,7 @@ def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
         axes[0] = -axes[0]
     return {
         "shape": "box",
-        "centre": _point(to_world, np.zeros(3)),
+        "centre": placed(to_world, np.zeros(3)),
         "half_extents": half.tolist(),
         "rotation": axes.tolist(),
     }
@@ -100,7 +78,3 @@ def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 def _not_inside_out(node: Node, flip: bool) -> None:
     if flip:
         raise node.wrong("flip_normals turns it inside out; give it as a mesh.")
-
-
-def _point(to_world: Affine, point: np.ndarray) -> list[float]:
-    return (to_world[:3, :3] @ point + to_world[:3, 3]).tolist()

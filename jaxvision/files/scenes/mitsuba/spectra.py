@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .document import Blackbody, Colour, Flat, Node, Table
+from ..nodes import Blackbody, Colour, Flat, Node, Table, plain
 
 SPECTRUM = (Colour, Flat, Table, float)
 
@@ -18,7 +18,7 @@ def map_of(node: Node, name: str) -> dict[str, Any] | None:
     if texture.kind != "bitmap":
         raise node.wrong(
             f"{name} is a texture (type {texture.kind!r}), of which only bitmap is "
-            "read; give a picture, or one colour, as in <rgb>."
+            "read; give a picture, or one colour."
         )
     file, wrap = texture.take("filename", str), texture.take("wrap_mode", str, "repeat")
     if file is None or wrap not in ("repeat", "clamp"):
@@ -43,7 +43,7 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
         case Table(pairs):
             return {"pairs": [list(pair) for pair in pairs]}
         case other:
-            return _plain(other)
+            return plain(other)
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
@@ -58,7 +58,7 @@ def light_of(node: Node, name: str, otherwise: float) -> Any:
         case Flat(value):
             return {"pairs": [[360.0, 1.0], [830.0, 1.0]], "scale": value}
         case other:
-            return _plain(other)
+            return plain(other)
 
 
 def index_of(node: Node, name: str, otherwise: float) -> Any:
@@ -69,13 +69,4 @@ def index_of(node: Node, name: str, otherwise: float) -> Any:
             f"{name} is a table of wavelengths, for which RGB has no definite value; "
             "give it as <rgb>."
         )
-    return _plain(value)
-
-
-def _plain(value: Colour | Flat | float) -> Any:
-    match value:
-        case Colour(values):
-            return list(values) if len(values) == 3 else values[0]
-        case Flat(number):
-            return number
-    return value
+    return plain(value)

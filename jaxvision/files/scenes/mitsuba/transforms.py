@@ -4,12 +4,10 @@ degrees."""
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ....errors import InputError
-
-Affine = Float[np.ndarray, "4 4"]
+from ..placement import Affine, look_at
 
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
@@ -63,7 +61,7 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
             origin, target = (
                 _words(given.get(name, ""), place, 3) for name in ("origin", "target")
             )
-            step = _look_at(origin, target, _words(given.get("up", "0 1 0"), place, 3), place)
+            step = look_at(origin, target, _words(given.get("up", "0 1 0"), place, 3), place)
         case "matrix":
             values = given.get("value", "").replace(",", " ").split()
             side = 3 if len(values) == 9 else 4
@@ -75,19 +73,6 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
             raise InputError(
                 f"{place}: is not read; use translate, rotate, scale, lookat or matrix."
             )
-    return step
-
-
-def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str) -> Affine:
-    """Return the map of a camera that looks along z with y up, so its x points left."""
-    forward = target - origin
-    left = np.cross(up, forward)
-    if not forward.any() or np.linalg.norm(left) <= 1e-9 * np.linalg.norm(forward):
-        raise InputError(f"{place}: target and up give no direction of view; correct one of them.")
-    step = np.eye(4)
-    axes = np.stack([left, np.cross(forward, left), forward])
-    step[:3, :3] = (axes / np.linalg.norm(axes, axis=1, keepdims=True)).T
-    step[:3, 3] = origin
     return step
 
 
@@ -107,25 +92,3 @@ def _words(text: str, place: str, count: int) -> np.ndarray:
     if len(found) != count or not np.isfinite(found).all():
         raise InputError(f"{place}: {text!r} must be {count} finite numbers; correct it.")
     return found
-
-
-def lengths_of_axes(to_world: Affine) -> np.ndarray:
-    """Return the lengths of the unit vectors along the axes after the transform, (3,) m."""
-    return np.linalg.norm(to_world[:3, :3], axis=0)
-
-
-def keeps_right_angles(to_world: Affine, *, axes: int = 3) -> bool:
-    """Return whether the coordinate axes are still perpendicular after the transform."""
-    linear = (to_world[:3, :3] / lengths_of_axes(to_world))[:, :axes]
-    return bool(np.abs(linear.T @ linear - np.eye(axes)).max() <= 1e-5)
-
-
-def keeps_shape(to_world: Affine, *, axes: int = 3) -> bool:
-    """Return whether axes stay perpendicular and equally long."""
-    lengths = lengths_of_axes(to_world)[:axes]
-    return keeps_right_angles(to_world, axes=axes) and bool(np.ptp(lengths) <= 1e-5 * lengths.max())
-
-
-def mirrors(to_world: Affine) -> bool:
-    """Return whether the transform mirrors space."""
-    return bool(np.linalg.det(to_world[:3, :3]) < 0)
