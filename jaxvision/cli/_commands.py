@@ -38,7 +38,9 @@ MEASURED = 240.0  # s, default time of the measurement before --accuracy or --se
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,
-    typer.Argument(help="Scene in TOML, Mitsuba's XML or glTF, or a shipped one.", metavar="SCENE"),
+    typer.Argument(
+        help="Scene in TOML, Mitsuba's XML, pbrt or glTF, or a shipped one.", metavar="SCENE"
+    ),
 ]
 
 app = command_app(

@@ -603,6 +603,19 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
             holds no radiance), for a picture that is not twice as wide as high, and for values that
             are negative or not finite.
     """
+    picture = read_sky(path)
+    height, width, _ = picture.shape
+    if width != 2 * height:
+        raise InputError(
+            f"{path}: {height} rows of {width} are no latitude-longitude picture, which is twice "
+            "as wide as high; convert it from its other projection first."
+        )
+    return picture
+
+
+def read_sky(path: str | os.PathLike[str]) -> np.ndarray:
+    """Read a picture of radiance in any projection, (h, w, bands) float32, without its alpha. Raise
+    `InputError` for integers and for values that are negative or not finite."""
     picture, names = read_channels(path)
     if not np.issubdtype(picture.dtype, np.floating):
         raise InputError(
@@ -610,12 +623,6 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
         )
     picture = np.atleast_3d(picture).astype(np.float32)
     picture = picture[..., [i for i in range(picture.shape[2]) if names[i : i + 1] != ("alpha",)]]
-    height, width, _ = picture.shape
-    if width != 2 * height:
-        raise InputError(
-            f"{path}: {height} rows of {width} are no latitude-longitude picture, which is twice "
-            "as wide as high; convert it from its other projection first."
-        )
     wrong = int((~(np.isfinite(picture) & (picture >= 0))).sum())
     if wrong:
         raise InputError(

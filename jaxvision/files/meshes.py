@@ -115,7 +115,7 @@ def read_mesh(
             f"{file}: {lost} of its {len(vertices)} vertices are not finite in {vertices.dtype}: "
             "no ray hits their triangles; correct the file."
         )
-    faces = _nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
+    faces = nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
         normals = np.asarray(loaded.vertex_normals, float)
@@ -176,8 +176,8 @@ def _world_matrix(
     return whole
 
 
-def _nonempty_triangles(
-    file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
+def nonempty_triangles(
+    file: Path | str, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
     """Return the triangles with a positive area, because files often contain some of area 0. A
     warning states how many triangles have an area of 0 only because vertices are rounded to the
@@ -203,7 +203,9 @@ def _nonempty_triangles(
     return faces[~flat]
 
 
-def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
+def _check_rounding(
+    file: Path | str, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
+) -> None:
     """Warn if rounding changes a mesh, or its place, far from the origin."""
     before, after = (
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,13 +1,15 @@
 """A spot light: a point light that shines into a cone.
 
-    smooth    I ((cos(theta) - cos(outer)) / (cos(inner) - cos(outer)))^2    as in glTF
-    linear    I (outer - theta) / (outer - inner)                            as in Mitsuba
+    smooth        I t^2              t = (cos(theta) - cos(outer)) / (cos(inner) - cos(outer)),
+                                     as in glTF
+    smoothstep    I t^2 (3 - 2 t)    as in pbrt
+    linear        I (outer - theta) / (outer - inner)    as in Mitsuba
 
 is the intensity at the angle theta to the axis, between the half angles inner and outer of two
 cones. The intensity is I within the inner cone, and 0 outside the outer cone.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,7 +36,7 @@ from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register
 from .point import _place_bound, _toward
 
-Falloff = Literal["smooth", "linear"]
+Falloff = Literal["smooth", "smoothstep", "linear"]
 _ANGLE = Range(0, np.pi, nan=True)
 
 
@@ -47,8 +49,8 @@ class SpotLight(Light):
         intensity: (bands,) W sr^-1 within the inner cone.
         inner: () rad, half angle of the inner cone, at least 0.
         outer: () rad, half angle of the outer cone, above `inner` and at most pi.
-        falloff: how the intensity decreases between the cones: "smooth" in the cosine, or "linear"
-            in the angle; static.
+        falloff: how the intensity decreases between the cones: "smooth" (quadratic) or "smoothstep"
+            (cubic) in the cosine, or "linear" in the angle; static.
 
     Example:
         >>> spot = jv.SpotLight([0, 0, 2], [0, 0, -1], [8.0], np.radians(20), np.radians(40))
@@ -70,7 +72,7 @@ class SpotLight(Light):
     def __check_init__(self) -> None:
         check_fields(self, intensity=AMOUNT, inner=_ANGLE, outer=_ANGLE)
         check_direction("SpotLight.direction", self.direction)
-        check_choice("SpotLight.falloff", self.falloff, ("smooth", "linear"))
+        check_choice("SpotLight.falloff", self.falloff, get_args(Falloff))
         if not (is_known(self.inner) and is_known(self.outer)):
             return
         inner, outer = np.asarray(self.inner), np.asarray(self.outer)
@@ -85,10 +87,11 @@ def _share(light: SpotLight, away: Vector) -> Scalar:
     """Return the intensity in a unit direction, relative to the intensity on the axis, no unit."""
     axis = normalize(light.direction)
     match light.falloff:
-        case "smooth":
+        case "smooth" | "smoothstep":
             cosine, full, dark = dot(axis, away), jnp.cos(light.inner), jnp.cos(light.outer)
             within = jnp.clip((cosine - dark) / or_one(full - dark), 0, 1)
-            return within * within
+            cubic = light.falloff == "smoothstep"
+            return within * within * (3 - 2 * within if cubic else 1)
         case "linear":
             theta = angle_between(as_array(axis), as_array(away))
             wide = or_one(light.outer - light.inner)

@@ -21,7 +21,7 @@ def lamp_scene(seed):
     scene, view = random_scene(seed)
     rng = np.random.default_rng(seed)
     lamps = []
-    for kind in ("smooth", "linear", "measured", "measured"):
+    for kind in ("smoothstep", "linear", "measured", "measured"):
         place = rng.uniform([-0.9, -0.95, -2.5], [0.9, -0.5, -0.5])
         power = 10 ** rng.uniform(-3, 0.5) * rng.uniform(0.2, 1, bands_of(scene))
         if kind != "measured":

@@ -66,7 +66,7 @@ def test_a_huge_text_file_is_refused_unread(tmp_path):
         stream.truncate(1 << 30)  # which takes no space
     tracemalloc.start()
     try:
-        for suffix in (".toml", ".xml"):
+        for suffix in (".toml", ".xml", ".pbrt"):
             whole = file.rename(file.with_suffix(suffix))
             with pytest.raises(InputError, match="holds 1024 MiB, more than 16; divide it"):
                 read_scene(whole)

@@ -14,7 +14,7 @@ import trimesh
 from astropy.io import fits
 from oracles import measured, mitsuba_pictures
 from raw_contents import dng
-from scene_texts import PLY
+from scene_texts import PBRT, PBRT_SURFACES, PLY
 
 import jaxvision
 from fitting.noise.levels_table import read_table
@@ -161,6 +161,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     mitsuba_pictures.write_scenes(folder)
     write_image(folder / "sky.exr", mitsuba_pictures.sky())
     mitsuba = tuple(text.encode() for text in mitsuba_pictures.SCENES.values())
+    pbrt = tuple(text.encode() for text in (PBRT, PBRT_SURFACES))
     gltf = json.dumps(gltf_contents.content(), indent=1).encode()
     ball = written(folder, "seed.stl", trimesh.creation.icosphere(subdivisions=0).export)
     own = kept.sound(folder)
@@ -183,6 +184,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
         "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene),
         "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene),
+        "pbrt": Kind(".pbrt", pbrt, lambda file: read_scene(file).scene),
         "gltf": Kind(".gltf", (gltf,), lambda file: read_scene(file).scene),
         "material": Kind(".toml", (material,), read_material),
         "rig": Kind(".toml", (RIG.encode(),), load_rig, finite=False),

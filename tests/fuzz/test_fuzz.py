@@ -34,9 +34,10 @@ LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s of CPU, bytes, characters of
 NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
 NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba", "gltf", "glb", "glb_mesh")
 NAMES += ("stl", "fits", "dng", "draws", "tiles", "passes", "chain", "pgm", "ppm", "pfm", "tga")
+NAMES += ("pbrt",)
 
 
-TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml", ".gltf")
+TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml", ".gltf", ".pbrt")
 
 
 def content(name, kind, number):

@@ -68,7 +68,7 @@ def test_the_intensity_at_a_node_and_between_is_bilinear():
     assert np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize("falloff", ["smooth", "linear"])
+@pytest.mark.parametrize("falloff", ["smooth", "smoothstep", "linear"])
 def test_a_spot_sends_what_its_formula_integrates_to(falloff):
     """The flux through the sphere about it in closed form, and by its own emitted rays."""
     inner, outer = np.radians([20.0, 50.0])
@@ -78,13 +78,15 @@ def test_a_spot_sends_what_its_formula_integrates_to(falloff):
     def share(t):
         if falloff == "linear":
             return np.clip((outer - t) / (outer - inner), 0, 1)
-        return np.clip((np.cos(t) - d) / (c - d), 0, 1) ** 2
+        part = np.clip((np.cos(t) - d) / (c - d), 0, 1)
+        return part**2 if falloff == "smooth" else part**2 * (3 - 2 * part)
 
     flux = (
         5 * 2 * np.pi * integrate.quad(lambda t: np.sin(t) * share(t), 0, outer, points=[inner])[0]
     )
-    if falloff == "smooth":
-        assert flux == pytest.approx(10 * np.pi * (1 - c + (c - d) / 3), rel=1e-9)
+    if falloff != "linear":
+        mean = 1 / 3 if falloff == "smooth" else 1 / 2  # of the intensity between the cones
+        assert flux == pytest.approx(10 * np.pi * (1 - c + (c - d) * mean), rel=1e-9)
     u = jnp.asarray(np.random.default_rng(1).random((20_000, 4)))
     rays = jax.vmap(lambda u: lights.emitted(spot, u, around=None))(u)
     assert float(rays.flux.mean()) == pytest.approx(flux, abs=4 * float(rays.flux.std()) / 141)

@@ -47,18 +47,22 @@ def at_facets(w, alpha, eta, rng):
     return up & passes(mirrored), down & passes(refracted)
 
 
-def albedo(cosine, alpha, rho, *, eta=1.5, count=400_000, seed=0):
+def albedo(cosine, alpha, rho, *, eta=1.5, count=400_000, seed=0, most=None, stops=False):
     """Share of the light at a cosine that a coat of this roughness over a body of albedo rho
-    returns."""
+    returns. As in pbrt, a walk may end after `most` reflections by the body, and light that facets
+    stop may be lost."""
     rng = np.random.default_rng(seed)
     w = np.tile([np.sqrt(1 - cosine**2), 0, cosine], (count, 1))
-    escaped = int(at_facets(w, alpha, eta, rng)[0].sum())
-    inside = count - escaped
-    while inside:
+    back, through = at_facets(w, alpha, eta, rng)
+    escaped = int(back.sum())
+    inside = int(through.sum()) if stops else count - escaped
+    while inside and most != 0:
+        most = None if most is None else most - 1
         inside = rng.binomial(inside, rho)
         c, phi = np.sqrt(rng.random(inside)), 2 * np.pi * rng.random(inside)
         s = np.sqrt(1 - c * c)
         w = np.stack([s * np.cos(phi), s * np.sin(phi), c], axis=1)
-        out = int(at_facets(w, alpha, 1 / eta, rng)[1].sum())
-        escaped, inside = escaped + out, inside - out
+        returned, out = at_facets(w, alpha, 1 / eta, rng)
+        escaped += int(out.sum())
+        inside = int(returned.sum()) if stops else inside - int(out.sum())
     return escaped / count

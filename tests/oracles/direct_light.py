@@ -301,12 +301,13 @@ def arriving(light, p, nodes):
 
 
 def cone(light, away):
-    """Relative intensity of a spot light: as in glTF ("smooth") or Mitsuba ("linear")."""
+    """Relative intensity of a spot light: as in glTF ("smooth"), pbrt ("smoothstep") or Mitsuba
+    ("linear")."""
     inner, outer = float(light.inner), float(light.outer)
     cosine = away @ unit(number(light.direction))
-    if light.falloff == "smooth":
-        part = (cosine - np.cos(outer)) / (np.cos(inner) - np.cos(outer))
-        return np.clip(part, 0, 1) ** 2
+    if light.falloff != "linear":
+        part = np.clip((cosine - np.cos(outer)) / (np.cos(inner) - np.cos(outer)), 0, 1)
+        return part**2 * (1 if light.falloff == "smooth" else 3 - 2 * part)
     return np.clip((outer - np.arccos(np.clip(cosine, -1, 1))) / (outer - inner), 0, 1)
 
 

@@ -1,5 +1,6 @@
 """Read scene files as records. A scene file is TOML with lights, surfaces, materials and a camera.
-Scenes of Mitsuba and glTF are read too; the packages `mitsuba` and `gltf` list the supported parts.
+Scenes of Mitsuba, pbrt and glTF are read too; the packages `mitsuba`, `pbrt` and `gltf` list the
+supported parts.
 
 `tables` and `schema` define the contents of a scene file. Reading cannot be traced by JAX. Every
 mistake in a file raises an `InputError` with a message of one sentence that names the file and the
@@ -101,7 +102,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     """Read and check a scene file, or a shipped scene given by its name.
 
     Args:
-        path: the file, TOML, Mitsuba's XML or glTF, or one of `shipped_scenes`.
+        path: the file, TOML, Mitsuba's XML, pbrt or glTF, or one of `shipped_scenes`.
 
     Returns:
         The scene and its render settings.
@@ -184,14 +185,14 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """Read the tables of a TOML file, or convert a Mitsuba or glTF scene to such tables."""
+    """Read the tables of a TOML file, or convert the scene of another program to such tables."""
     suffix = file.suffix.lower()
-    if suffix not in (".xml", *GLTF):
+    if suffix not in (".xml", ".pbrt", *GLTF):
         return read_toml(file, "scene")
-    from . import gltf, mitsuba
+    from . import gltf, mitsuba, pbrt
 
     with _named_messages(file, ""):
-        return (mitsuba if suffix == ".xml" else gltf).scene_of(file)
+        return {".xml": mitsuba, ".pbrt": pbrt}.get(suffix, gltf).scene_of(file)
 
 
 def _digest(*records: object) -> str:

@@ -41,13 +41,14 @@ from ...scene import (
     Shape,
     Sphere,
     ThinLens,
+    TriangleMesh,
     View,
     Wavefront,
 )
 from ..images import read_environment
 from ..luminaires import read_luminaire
 from ..measured import read_measured, table_of_samples
-from ..meshes import read_mesh
+from ..meshes import nonempty_triangles, read_mesh
 from ..records import Key, Reading, chosen, keys_of, value_of, values_of
 from .bands import Bands, Quantity, band_values, reduction, spectrum_of
 from .folder import Folder
@@ -114,6 +115,32 @@ def _mesh(
     return read_mesh(file, matrix=matrix, **placed, **settings)
 
 
+def _triangles(
+    dtype: str = "float32",
+    *,
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Float[np.ndarray, "faces 3"],
+    vertex_normals: Float[np.ndarray, "vertices 3"] | None = None,
+    uv: Float[np.ndarray, "vertices 2"] | None = None,
+) -> TriangleMesh:
+    """Triangles that are given in the scene file itself.
+
+    Args:
+        vertices: (vertices, 3) m.
+        faces: (faces, 3) the vertices of each triangle, from 0; counterclockwise from its front.
+        vertex_normals: (vertices, 3) no unit, interpolated for shading; by default triangles are
+            flat.
+        uv: (vertices, 2) no unit, texture coordinates, with v downward in the picture.
+    """
+    if (faces % 1).any():
+        raise InputError("faces must be whole numbers; correct them.")
+    whole = faces.astype(int)
+    if whole.size:
+        rounded = vertices.astype(dtype)
+        whole = nonempty_triangles("the triangles", rounded, vertices, whole)
+    return TriangleMesh(vertices, whole, normals=vertex_normals, uv=uv)
+
+
 SHAPES: dict[str, Callable[..., Shape]] = {
     "sphere": Sphere,
     "plane": Plane,
@@ -121,6 +148,7 @@ SHAPES: dict[str, Callable[..., Shape]] = {
     "quad": Quad,
     "box": _box,
     "mesh": _mesh,
+    "triangles": _triangles,
 }
 
 
@@ -351,6 +379,8 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
             return band_values(spectrum, bands, folder, quantity=quantity)
         if hint == Photometry:
             return read_luminaire(folder.file(value_of(reading, where, str, value)))
+        if hint == Picture and isinstance(value, np.ndarray):
+            return value
         if hint in (Picture, Measured):
             name = value_of(reading, where, str, value)
             return (_picture if hint == Picture else _tabulate_measured)(folder, name, bands)
@@ -425,6 +455,8 @@ def surface_of(
     if word == "mesh":
         wanted = mapped(more["material"]) or "normals" in more
         values |= {"file": folder.file(values["file"]), "dtype": dtype, "uv": wanted}
+    elif word == "triangles":
+        values["dtype"] = dtype
     shape = make(**values)
     if more.get("normals") is not None:
         name_doubtful_normals(where, shape, more["normals"])
