@@ -60,14 +60,15 @@ def _run(steps, results, arguments, changed=None):
 
 
 def moved(arguments, ulps):
-    """The arguments, each moved by some units in the last place, in every combination of them,
-    along their first axis."""
-    for x, steps in zip(
-        arguments, zip(*product(ulps, repeat=len(arguments)), strict=True), strict=True
-    ):
-        yield jnp.stack(
-            [jnp.asarray(x + np.float64(n) * np.spacing(np.asarray(x)), x.dtype) for n in steps]
-        )
+    """(the arguments, each moved by some units in the last place, in every combination of them,
+    along their first axis; the place of those that were not moved)."""
+    ways = [*product(ulps, repeat=len(arguments))]
+    steps = np.array(ways, np.float64).T.reshape(len(arguments), -1, *(1,) * arguments[0].ndim)
+    stacks = [
+        jnp.asarray(np.asarray(x, np.float64) + n * np.spacing(np.asarray(x)), x.dtype)
+        for x, n in zip(arguments, steps, strict=True)
+    ]
+    return stacks, ways.index((0,) * len(arguments))
 
 
 def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
@@ -79,35 +80,38 @@ def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
     closed = jax.make_jaxpr(function)(*arguments)
     steps = []
     results = _steps(closed, steps, [("argument", i) for i in range(len(arguments))])
-    found, values = _run(steps, results, arguments)
-    decided = [slot for slot, value in values.items() if value.dtype == bool]
+    neighbours, home = moved(arguments, ulps)
 
     def near(*neighbour):
-        own, others = _run(steps, results, neighbour)
-        return own, [others[slot] for slot in decided]
+        own, values = _run(steps, results, neighbour)
+        return own, {slot: value for slot, value in values.items() if value.dtype == bool}
 
-    own, others = jax.vmap(near)(*moved(arguments, ulps))
-    low = [np.fmin(a, np.fmin.reduce(b)) for a, b in zip(found, own, strict=True)]
-    high = [np.fmax(a, np.fmax.reduce(b)) for a, b in zip(found, own, strict=True)]
-    flags = {}
-    for slot, value in zip(decided, others, strict=True):
-        differs = (np.asarray(value) != np.asarray(values[slot])).any(axis=0)
-        if differs.any():
-            flags[slot] = differs
-    wrong = []
-    for i, (eqn, inputs) in enumerate(steps):
-        gives_flags = all(v.aval.dtype == bool for v in eqn.outvars)
-        for place, slot in enumerate(inputs):
-            if slot[0] == "constant" or slot not in flags:
-                continue
-            if gives_flags and eqn.primitive.name != "select_n":
-                continue
-            other = jnp.asarray(values[slot]) ^ flags[slot]
-            got, _ = _run(steps, results, arguments, {(i, place): other})
-            got = map(np.asarray, got)
-            for a, b, c in zip(got, low, high, strict=True):
+    own, decided = jax.vmap(near)(*neighbours)
+    low, high = ([reduce(b) for b in own] for reduce in (np.fmin.reduce, np.fmax.reduce))
+    decided = {slot: np.asarray(value) for slot, value in decided.items()}
+    flags = {slot: (value != value[home]).any(axis=0) for slot, value in decided.items()}
+    flags = {slot: differs for slot, differs in flags.items() if differs.any()}
+    uses = [
+        (i, place, slot)
+        for i, (eqn, inputs) in enumerate(steps)
+        if eqn.primitive.name == "select_n" or all(v.aval.dtype != bool for v in eqn.outvars)
+        for place, slot in enumerate(inputs)
+        if slot[0] != "constant" and slot in flags
+    ]
+    # as many uses at once as there are neighbours, whose operations are compiled already
+    count, wrong = len(neighbours[0]), []
+    for first in range(0, len(uses), count):
+        part, others = uses[first : first + count], {}
+        for k, (i, place, slot) in enumerate(part):
+            others[i, place] = np.repeat(decided[slot][home][None], count, axis=0)
+            others[i, place][k] ^= flags[slot]
+        same = [jnp.broadcast_to(x, (count, *x.shape)) for x in arguments]
+        others = {use: jnp.asarray(value) for use, value in others.items()}
+        got = jax.vmap(lambda others, *x: _run(steps, results, x, others)[0])(others, *same)
+        for k, (i, _, _) in enumerate(part):
+            for a, b, c in zip((np.asarray(x)[k] for x in got), low, high, strict=True):
                 scale = within * np.maximum(np.abs(b), np.abs(c))
                 good = (a >= b - scale) & (a <= c + scale) | (np.isnan(a) & np.isnan(b))
                 if not good.all():
-                    wrong.append(f"{eqn.primitive} {i}: {a} beyond {b} to {c}")
+                    wrong.append(f"{steps[i][0].primitive} {i}: {a} beyond {b} to {c}")
     return len(flags), wrong

@@ -126,6 +126,7 @@ def test_the_time_of_a_setting_is_the_median_of_its_warm_calls():
 # ---------------------------------------------------------------- the next run
 
 
+@pytest.mark.sweep("10-3", "3000-8")
 @pytest.mark.parametrize("runs", [2, 3, 8])
 @pytest.mark.parametrize("freedom", [1, 10, 3000])
 def test_the_next_error_is_below_its_bound_as_often_as_is_said(runs, freedom):

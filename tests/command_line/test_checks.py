@@ -52,6 +52,7 @@ def test_planted_faults_are_flagged(fault):
         assert abs(one.z_mean - fault.get("mean", 0.0)) < 0.1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("sd", [0.8, 1.25])
 def test_two_hundred_fits_show_one_parameter_whose_errors_are_a_fifth_off(sd):
     """As often as the chi-square test can; shares and ranks alone did in 65 of 100 checks."""

@@ -373,6 +373,7 @@ def test_a_colour_of_a_merl_file_that_ends_in_zeros_is_named(tmp_path):
         files.read_merl(tmp_path / "cut.binary")
 
 
+@pytest.mark.sweep("12-")
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(1, None), (1 / 1500, r"reflects 0\.02 % of the light"), (12, r"reflects 3\.6e\+02 % of the")],

@@ -17,6 +17,7 @@ OF_PILLOW = {
 }
 
 
+@pytest.mark.sweep("size2", "size0-lanczos3")
 @pytest.mark.parametrize("method", OF_PILLOW)
 @pytest.mark.parametrize("size", [(7, 9), (50, 64), (11, 40)])
 def test_resized_as_pillow_does(method, size):
@@ -32,6 +33,7 @@ def test_batches_bands_and_constants():
     np.testing.assert_allclose(resize(np.full((9, 9), 3.0), (4, 13)), 3.0, rtol=1e-6)
 
 
+@pytest.mark.sweep("nan", "size2-linear")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("method", ["nearest", "linear", "cubic", "lanczos3", "lanczos5"])
 @pytest.mark.parametrize("size", [(7, 9), (50, 64), (23, 40)])

@@ -58,7 +58,8 @@ def funnel(vector, _):
     return -(u**2) / (2 * SPREAD**2) - jnp.sum(u + others**2 * jnp.exp(-2 * u) / 2)
 
 
-@pytest.mark.parametrize("count", [3, 6])
+@pytest.mark.sweep
+@pytest.mark.parametrize("count", [6, 3])
 def test_draws_along_a_funnel_follow_its_closed_form(count):
     """The mode of all numbers together is 1.5 or 3 standard deviations below the mean of u."""
     space = (*scalars(Parameter(name="u"), ()), *scalars(Parameter(name="v"), (count,)))

@@ -531,6 +531,7 @@ def lit(change=None, flicker=0.0, seed=0, drift=0.0):
     return odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK))
 
 
+@pytest.mark.sweep("0.003-6.0-seeds0")
 @pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 40), marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("flicker", "drift"), [(0.0, 0.0), (0.003, 0.0), (0.01, 0.0), (0.0, 2.0), (0.003, 6.0)]

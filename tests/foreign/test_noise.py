@@ -149,6 +149,7 @@ def averages(flats, darks):
     return noise.from_frames(frames, unlit, times, list(PHOTONS), camera=noise.Camera(bits=12))
 
 
+@pytest.mark.sweep("means-single", "single-single")
 @pytest.mark.parametrize(
     ("flats", "darks", "lost", "said"),
     [
@@ -275,6 +276,7 @@ def test_two_amplifiers_are_found_and_named():
     assert "is not the gain of any pixel" in widened
 
 
+@pytest.mark.sweep("mosaic", "halves", "three rows", "eight rows")
 @pytest.mark.parametrize(
     ("camera", "where", "period", "what"),
     [

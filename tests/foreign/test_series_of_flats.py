@@ -406,7 +406,8 @@ def test_a_lamp_that_fades_is_named_with_what_a_frame_loses():
     assert abs(float(said.split("falls by ")[1].split()[0]) - 0.308) < 0.03
 
 
-@pytest.mark.parametrize("flicker", [0.0, 0.02])
+@pytest.mark.sweep
+@pytest.mark.parametrize("flicker", [0.02, 0.0])
 def test_a_lamp_that_flickers_does_not_drift(flicker):
     for seed in range(3):
         found = ageing(np.random.default_rng(seed), 0.0, flicker=flicker)
@@ -595,6 +596,7 @@ def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent
     assert found.estimates["quantum_efficiency"].standard_error < 0.6
 
 
+@pytest.mark.sweep("lit-7", "saturated-7")
 @pytest.mark.parametrize("place", [0, 3, 7])
 @pytest.mark.parametrize("what", ["saturated", "lit"])
 def test_a_dark_level_of_too_much_light_is_left_out_alone(place, what):

@@ -74,6 +74,7 @@ def dense(weight, shared, gains):
     return tuple(places.T), matrix
 
 
+@pytest.mark.sweep("True-True")
 @pytest.mark.parametrize("with_images", [False, True])
 @pytest.mark.parametrize("with_cells", [False, True])
 def test_shared_errors_are_integrated_out(with_images, with_cells):

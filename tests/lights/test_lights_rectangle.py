@@ -259,7 +259,9 @@ def test_a_light_much_wider_than_its_distance_is_named(height):
     assert exact_one == pytest.approx(true, rel=1e-12)
 
 
-@pytest.mark.parametrize(("height", "order"), [(0.05, 8), (0.01, 32)])
+@pytest.mark.parametrize(
+    ("height", "order"), [(0.05, 8), pytest.param(0.01, 32, marks=pytest.mark.slow)]
+)
 def test_a_light_whose_quadrature_is_good_is_not_named(height, order):
     lamp = jv.RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1 / np.pi])
     found = irradiance(lamp, below(height), UP, rule=jv.Quadrature(order))

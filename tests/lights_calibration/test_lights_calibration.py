@@ -517,6 +517,7 @@ def test_intensities_and_levels_that_differ_much_are_named():
     assert any(s.startswith(f"images[2]: {said} 7") for s in found.findings)
 
 
+@pytest.mark.sweep("0.9-0-1", "1-3-2")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("factor", "shift"), [(1.1, 0), (0.9, 0), (1, 3), (0.95, 2)])
 def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, shift, seed):

@@ -82,6 +82,7 @@ def binned(frame):
     return np.round(frame().reshape(32, 2, 32, 2).mean((1, 3)))
 
 
+@pytest.mark.sweep("smoothed", "sharpened")
 @pytest.mark.parametrize(
     ("process", "keys", "words"),
     [
@@ -112,6 +113,7 @@ def test_noise_that_was_filtered_is_named(process, keys, words):
     assert any(re.search(words, one) for one in findings(found))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
     """Means of gains and offsets of 64 x 64 pixels deviate by 1/64 of PRNU and DSNU."""

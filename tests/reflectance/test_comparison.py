@@ -170,6 +170,7 @@ def test_an_order_may_be_sure_where_its_size_is_not():
     assert not ratio(of(1.04 * base), of(base), "cosine").ordered
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("incidences", [5, 8, 15])
 def test_equal_models_are_seldom_ordered(incidences):
     """Errors of two models that scatter alike about those of each incidence."""

@@ -60,6 +60,7 @@ def blocked_by_ball(point, lamp):
     return bool(np.linalg.norm(point + t * way - centre) < float(BALL.radius))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_hard_shadows_against_a_loop_over_pixels(dtype):
     """E = I cos / d^2 on the floor, where the segment to the lamp passes the ball 0."""

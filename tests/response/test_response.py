@@ -81,10 +81,11 @@ def test_section_of_a_colour_stack(calibration):
             r"1\.png is darker than 0\.png .*negative.*Keep those that belong",
         ),
         (TIMES * np.resize([1, 1.8], 9), np.asarray, "agree on no response curve"),
-        (
+        pytest.param(
             TIMES,
             lambda x: np.random.default_rng(int(x.sum())).permuted(x),
             "agree on no response curve",
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["reversed", "negatives", "wrong times", "noise"],

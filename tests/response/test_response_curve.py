@@ -48,6 +48,7 @@ def log_rms(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.std(error - np.median(error)))
 
 
+@pytest.mark.sweep("s-shaped")
 @pytest.mark.parametrize("name", CURVES)
 def test_curve_is_recovered_between_codes_20_and_235(name):
     _, codes = exposure_stack(CURVES[name], TIMES, np.random.default_rng(1))

@@ -88,7 +88,7 @@ def test_narrow_bands_tell_the_curve_where_they_are():
 def test_noise_a_thousand_times_the_stated_one_widens_as_much():
     """Also where the standard deviations are in another unit than the readings."""
     true, covered = camera(NAMES[0]), []
-    for seed in range(3):
+    for seed in range(2):
         readings, sd = chart(true, seed)
         right, tiny = (
             sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=s, draws=60)
@@ -111,6 +111,7 @@ def test_louder_noise_is_found_and_said():
         free.matrix(DAY)
 
 
+@pytest.mark.sweep("True")
 @pytest.mark.parametrize(
     ("change", "said"),
     [

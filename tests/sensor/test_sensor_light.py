@@ -304,6 +304,7 @@ def test_slots_share_out_each_rows_exposure(line_time):
     np.testing.assert_allclose(weights @ times, middle, rtol=1e-6)
 
 
+@pytest.mark.sweep("2.0-7", "45.0-7")
 @pytest.mark.parametrize("slots", [2, 3, 4, 7])
 @pytest.mark.parametrize("exposure", [2.0, pytest.param(12.0, marks=pytest.mark.slow), 45.0])
 def test_a_linear_ramp_is_averaged_exactly_however_slots_fall(slots, exposure):
