@@ -201,7 +201,8 @@ def _panels(
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
     width = 5.4 if columns == 1 else 4.4 * columns
-    figure, axes = empty_panels((width, height * rows + 0.4), rows, columns, squeeze=False).ravel()
+    figure, panels = empty_panels((width, height * rows + 0.4), rows, columns, squeeze=False)
+    axes = panels.ravel()
     for axis in axes[len(groups) :]:
         axis.set_axis_off()
     for axis, (group, _) in zip(axes, groups, strict=False):
