@@ -23,6 +23,32 @@ _GLASSES = {
     "SF11": 1.7847,
 }
 
+# Wavelengths, nm, with eta and k of evaporated films. Copper, silver and gold: Johnson and Christy,
+# Physical Review B 6 (1972), 4370; aluminium: Rakic, Applied Optics 34 (1995), 4755.
+_NOBLE = [397.4, 413.3, 430.5, 450.9, 471.4, 495.9, 520.9, 548.6, 582.1, 616.8, 659.5, 704.5, 756.0]
+_METALS = {
+    "Cu": (
+        _NOBLE,
+        [1.32, 1.28, 1.25, 1.24, 1.25, 1.22, 1.18, 1.02, 0.70, 0.30, 0.22, 0.21, 0.24],
+        [2.116, 2.207, 2.305, 2.397, 2.483, 2.564, 2.608, 2.577, 2.704, 3.205, 3.747, 4.205, 4.665],
+    ),
+    "Ag": (
+        _NOBLE,
+        [0.05, 0.05, 0.04, 0.04, 0.05, 0.05, 0.05, 0.06, 0.05, 0.06, 0.05, 0.04, 0.03],
+        [2.070, 2.275, 2.462, 2.657, 2.869, 3.093, 3.324, 3.586, 3.858, 4.152, 4.483, 4.838, 5.242],
+    ),
+    "Au": (
+        _NOBLE,
+        [1.47, 1.46, 1.45, 1.38, 1.31, 1.04, 0.62, 0.43, 0.29, 0.21, 0.14, 0.13, 0.14],
+        [1.952, 1.958, 1.948, 1.914, 1.849, 1.833, 2.081, 2.455, 2.863, 3.272, 3.697, 4.103, 4.542],
+    ),
+    "Al": (
+        [364.66, 413.28, 442.80, 476.87, 516.60, 563.57, 619.93, 652.25, 688.81, 729.32, 774.91],
+        [0.3988, 0.5214, 0.6079, 0.7278, 0.8734, 1.0728, 1.3660, 1.5724, 1.8301, 2.1606, 2.6154],
+        [4.3957, 5.0008, 5.3676, 5.7781, 6.2418, 6.7839, 7.4052, 7.7354, 8.0601, 8.3565, 8.4914],
+    ),
+}
+
 
 def material_of(node: Node, named: Callable[[Node, str], Node]) -> dict[str, Any]:
     """Return `family` and the other keys of a material, with `normals` for a normal map. `named`
@@ -101,10 +127,13 @@ def _metal(node: Node) -> dict[str, Any]:
             raise node.wrong("takes eta and k, or a reflectance that is a number or rgb.")
         r = np.minimum(r, 0.9999)
         return {"eta": 1.0, "k": (2 * np.sqrt(r / (1 - r))).tolist()}
-    for x in given.values():
+    for i, (name, x) in enumerate(given.items(), 1):
         if x is None or isinstance(x, Named):
-            metal = "copper (the default)" if x is None else x.name[:40]
-            raise node.wrong(f"eta and k of {metal} are not known; give their pairs.")
+            word = f"metal-Cu-{name}" if x is None else x.name
+            metal = _METALS.get(word.removeprefix("metal-").removesuffix(f"-{name}"))
+            if metal is None:
+                raise node.wrong(f"{name} of {word[:40]!r} is not known; give its pairs.")
+            given[name] = Table(tuple(zip(metal[0], metal[i], strict=True)))
     if not any(isinstance(x, Table) for x in given.values()):
         return {name: plain(x) for name, x in given.items()}
     if any(isinstance(x, Colour) for x in given.values()):

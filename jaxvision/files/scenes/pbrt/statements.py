@@ -88,6 +88,7 @@ def statements_of(file: Path, folder: Folder, *, depth: int = 0) -> Iterator[Sta
 def _statements(text: str, file: str) -> Iterator[Statement]:
     ends = [found.start() for found in re.finditer("\n", text)]
     statement: Statement | None = None
+    within: dict[str, int] = {}  # number of statements of each line
     opened: list[Any] | None = None  # the bracket that is not closed yet
     for token in _TOKEN.finditer(text):
         if token.lastindex is None:  # a comment
@@ -104,7 +105,10 @@ def _statements(text: str, file: str) -> Iterator[Statement]:
         if is_word:
             if statement is not None:
                 yield statement
-            statement = Statement(bare, [], f"{file}line {bisect(ends, token.start()) + 1}")
+            place = f"{file}line {bisect(ends, token.start()) + 1}"
+            within[place] = within.get(place, 0) + 1
+            nth = f", statement {within[place]}" if within[place] > 1 else ""
+            statement = Statement(bare, [], place + nth)
         elif statement is not None and bracket == "[" and opened is None:
             opened = []
         elif statement is not None and bracket == "]" and opened is not None:
