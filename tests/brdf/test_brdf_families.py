@@ -353,6 +353,7 @@ def test_no_more_is_reflected_than_arrives(name):
     assert got.max() <= 1 + 1e-9
 
 
+@pytest.mark.slow
 def test_what_a_bright_body_under_glass_reflects():
     """Nothing is taken from k_d: pi k_d + k_s is the bound, and the figure goes past 1."""
     cos_o = np.array([1, 0.5, 0.2, 0.05, 0.02, 1e-4])
@@ -395,6 +396,7 @@ def test_a_blunt_lobe_about_the_normal(n, plain, cosine):
     np.testing.assert_allclose(got[1], 2 * np.pi / (n + 2), rtol=cosine)
 
 
+@pytest.mark.slow
 def test_what_the_textbook_lobes_and_the_full_oren_nayar_do_to_energy():
     """The measured figures where nothing is promised."""
     grazing = jnp.asarray(towards(np.array([1.5]), 0.0))

@@ -225,6 +225,7 @@ def test_the_plastic_of_other_programs():
     np.testing.assert_allclose(jv.render(jv.Scene(floor, lamp), view)[0, 0], straight, rtol=3e-4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("cos_o", [0.9, 0.1])
 def test_samples_follow_their_density(cos_o):
     """Chi-square over 16 x 12 cells of the sphere, the expected counts by 8 x 8 points each."""

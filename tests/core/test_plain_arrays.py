@@ -50,7 +50,7 @@ def refusal(call):
     return str(caught.value)
 
 
-@pytest.mark.sweep("filters")
+@pytest.mark.sweep
 @pytest.mark.parametrize("room", ROOMS)
 def test_no_public_function_reads_only_the_numbers(room):
     """In each array argument of each function, and each array field of a record among them."""

@@ -12,7 +12,7 @@ from scipy import ndimage
 from jaxvision import filters
 from jaxvision.core._loops import fusion
 from jaxvision.filters.convolution import CHOICES
-from jaxvision.filters.padding import BORDERS
+from jaxvision.filters.padding import BORDERS, ghosts
 
 RNG = np.random.default_rng(8)
 PLANE, IMAGE = RNG.normal(size=(9, 7)), RNG.normal(size=(9, 7, 3))
@@ -23,6 +23,16 @@ SCIPY = {
     "mirror": "reflect",
     "reflect_101": "mirror",
 }
+NUMPY = {
+    "zero": {"mode": "constant"},
+    "normalised_zero": {"mode": "constant"},
+    "constant": {"mode": "constant"},
+    "clamp": {"mode": "edge"},
+    "wrap": {"mode": "wrap"},
+    "mirror": {"mode": "symmetric"},
+    "reflect_101": {"mode": "reflect"},
+    "extend": {"mode": "reflect", "reflect_type": "odd"},
+}
 KERNELS = {size: RNG.normal(size=size) for size in [(3, 3), (4, 3), (1, 6), (5, 4)]}
 SMALL = PLANE[:4, :3]  # smaller than the largest kernel
 LINEAR = sorted(set(BORDERS) - {"constant"})
@@ -32,18 +42,9 @@ counts_our_primitive = pytest.mark.skipif(fusion.PLAIN, reason="plain JAX has no
 def by_hand(plane, kernel, anchor, border, fill=0.0):
     """The definition, one product at a time."""
     (h, w), (kh, kw) = plane.shape, kernel.shape
-    modes = {
-        "zero": {"mode": "constant"},
-        "normalised_zero": {"mode": "constant"},
-        "constant": {"mode": "constant", "constant_values": fill},
-        "clamp": {"mode": "edge"},
-        "wrap": {"mode": "wrap"},
-        "mirror": {"mode": "symmetric"},
-        "reflect_101": {"mode": "reflect"},
-        "extend": {"mode": "reflect", "reflect_type": "odd"},
-    }
     reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])
-    wide = np.pad(plane, reach, **modes[border])
+    options = NUMPY[border] | ({"constant_values": fill} if border == "constant" else {})
+    wide = np.pad(plane, reach, **options)
     present = np.pad(np.ones_like(plane), reach)
     g, share = np.zeros((h, w)), np.zeros((h, w))
     for y, x, i, j in np.ndindex(h, w, kh, kw):
@@ -67,6 +68,15 @@ def test_every_border_by_hand(border, size):
             plane, kernel, border=border, fill=0.7 * (border == "constant"), method=method
         )
         np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12, err_msg=method)
+
+
+@pytest.mark.parametrize("border", BORDERS)
+def test_pixels_far_beyond_the_picture_are_numpys(border):
+    """Over several lengths of the picture, which a kernel seldom reaches."""
+    line = PLANE[0, :4]
+    source, own, first, last = ghosts(border, 4, 9, 14)
+    padded = own * line[source] + first * line[0] + last * line[-1]
+    np.testing.assert_allclose(padded, np.pad(line, (9, 14), **NUMPY[border]), atol=1e-14)
 
 
 @pytest.mark.sweep

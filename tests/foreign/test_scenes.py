@@ -124,8 +124,9 @@ def _sky_with_sun(rows, sun):
 
 
 @pytest.mark.parametrize(
-    ("rows", "own"), [(32, None), (128, None), (128, jv.Quadrature(16))], ids=str
+    ("rows", "own"), [(128, None), (32, None), (128, jv.Quadrature(16))], ids=str
 )
+@pytest.mark.sweep("order=16")
 def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
     """The sum of the map's own pixels is the oracle, and the sentence's number is the picture's."""
     sun = 4e4

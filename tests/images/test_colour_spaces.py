@@ -367,6 +367,7 @@ def test_unknown_names_list_the_known():
         cs.rgb_to_ycbcr(jnp.asarray(RGB), standard="x")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("convert", [cs.xyz_to_lab, cs.xyz_to_luv])
 def test_xyz_of_another_scale_than_the_white_is_named(convert):
     """L* of 522 for a white of Y = 1, of 9 at most for one of Y = 100; of the same scale, of one

@@ -501,6 +501,7 @@ def test_errors_of_mattes_are_those_of_simulated_hair(texture, seeds):
     assert np.mean(of_over) > 0.85
 
 
+@pytest.mark.slow
 def test_the_inverse_of_the_laplacian_is_no_measure_of_a_mattes_errors():
     """Dense, 24 x 24: the variance that its unit needs, over the energy of a pixel, which would be
     1 if the energy were minus a log-probability, differs twentyfold between scenes."""

@@ -29,6 +29,7 @@ def test_overcast_skies_have_closed_integrals(kind, a, b):
     assert kind != 5 or expected == pytest.approx(np.pi)
 
 
+@pytest.mark.sweep("15")
 @pytest.mark.parametrize("kind", [4, 8, 12, 15])
 def test_skies_against_the_standards_formula(kind):
     """By angles, in plain NumPy; the picture of the sky puts the stated light on level ground."""

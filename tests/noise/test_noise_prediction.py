@@ -132,7 +132,7 @@ PLANTED = {
 @pytest.mark.parametrize("effect", PLANTED)
 def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
     named = []
-    for seed in range(5):
+    for seed in range(2):
         prediction = predict(PLAIN, measured(np.random.default_rng(seed), **PLANTED[effect]))
         assert prediction.main_comparison.missed
         named.append([one.key for one in prediction.missing])
@@ -140,7 +140,7 @@ def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
         told = findings(prediction)
         assert any("The most likely cause is" in sentence for sentence in told)
         assert NOTHING_KNOWN not in told
-    assert sum(keys == [effect] for keys in named) >= 4, named
+    assert named == [[effect]] * 2
 
 
 def test_an_effect_of_no_known_kind_is_not_named():

@@ -63,7 +63,7 @@ def judged(rng, **planted):
 
 def test_independent_pixels_share_nothing():
     rng = np.random.default_rng(0)
-    found = [judged(rng) for _ in range(300)]
+    found = [judged(rng) for _ in range(120)]
     for name in found[0]:
         z = np.array([one[name].significance for one in found])
         assert abs(z.mean()) < 0.25, name
@@ -75,7 +75,7 @@ def test_independent_pixels_share_nothing():
 @pytest.mark.parametrize(("name", "size"), [("rows", 1.0), ("columns", 0.7), ("fixed", 1.0)])
 def test_what_is_planted_is_found_to_its_size(name, size):
     rng = np.random.default_rng(1)
-    found = [judged(rng, **{name: size})[name] for _ in range(200)]
+    found = [judged(rng, **{name: size})[name] for _ in range(100)]
     variance = np.array([one.variance for one in found])
     assert variance.mean() == pytest.approx(size**2, rel=0.05)
     z = (variance - size**2) / np.array([one.error for one in found])

@@ -5,6 +5,7 @@ import importlib
 import re
 import subprocess
 import sys
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -73,13 +74,16 @@ NEVER_ON_IMPORT = [
 ]
 
 
-class _Running(ast.NodeTransformer):
-    """Drops what only a type checker reads."""
-
-    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
-        if ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
-            return node.orelse
-        return self.generic_visit(node)
+def running(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """The statements, and those within them, but what only a type checker reads."""
+    for node in nodes:
+        yield node
+        parts = ["body", "orelse", "handlers", "finalbody", "cases"]
+        test = getattr(node, "test", None)
+        if "TYPE_CHECKING" in (getattr(test, "id", ""), getattr(test, "attr", "")):
+            parts.remove("body")
+        for part in parts:
+            yield from running(getattr(node, part, []))
 
 
 @cache
@@ -87,7 +91,7 @@ def imports(file: Path) -> set[str]:
     """Absolute dotted names that a file imports when it runs, relative ones resolved."""
     package = list(file.relative_to(ROOT).parent.parts)
     found = set()
-    for node in ast.walk(_Running().visit(ast.parse(file.read_text()))):
+    for node in running(ast.parse(file.read_text()).body):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -73,7 +73,7 @@ def test_keys_of_every_kind_are_keys():
     assert jax.vmap(lambda key: jv.PixelSamples(key, 1).key)(keys).shape == (3,)
 
 
-@pytest.mark.sweep("geometry", "brdf", "sensor")
+@pytest.mark.sweep("geometry", "brdf")
 @pytest.mark.parametrize("room", ROOMS)
 def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
     """Traced, not compiled: shapes and dtypes of the results are those that arrays give."""

@@ -23,7 +23,7 @@ import jaxvision
 from jaxvision.scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
 from jaxvision.sensor import count, exposed, raw_image
 
-QUICK = {"compositing", "point_ops"}
+QUICK = {"compositing"}
 # One for each loop that many functions of a slow room share.
 QUICKLY = [
     ("measured", "brdf.rgl.sample"),
@@ -36,7 +36,7 @@ QUICKLY = [
 OTHER = 1 - 2.0**-12  # times a number: directions stay unit, to what is checked
 # Rooms of the examples in docstrings; the others take longer.
 SAID = {*{name.split(".")[1] for name in functions(jaxvision)}} - {"cli", "accuracy", "files"}
-SAID_QUICKLY = {"geometry", "point_ops", "shot", "spectra"}
+SAID_QUICKLY = {"geometry", "point_ops", "spectra"}
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
@@ -160,6 +160,7 @@ def test_a_shared_loop_is_compiled_once(room, function, programs):
     assert not compiled_again(room, programs, function)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("law", [PoissonShotNoise(), FastPoissonShotNoise()])
 def test_a_count_is_compiled_once(law, programs):
     """In the examples' rooms the counts are Gaussian, without a loop."""

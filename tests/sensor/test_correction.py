@@ -77,7 +77,7 @@ def test_a_camera_without_noise_is_undone():
         taps=jv.Taps(((0, 1),), offset=[0.0, 5.0], gain=[1.0, 1.1]),
     )
     scene = LIGHT * (1 + 0.2 * np.random.default_rng(1).uniform(-1, 1, LIGHT.shape))
-    raw = jv.raw_image(None, sensor, exposed(scene))
+    raw = jax.jit(jv.raw_image)(None, sensor, exposed(scene))
     found = js.correct(raw, sensor)
     np.testing.assert_allclose(found.image, 0.5 * scene, rtol=4e-4)
     photons = js.correct(raw, sensor, unit="photons")
