@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
-from scipy import ndimage, stats
+from scipy import ndimage, optimize, stats
 
 import jaxvision as jv
 from jaxvision.core.plain_arrays import plain_array
@@ -61,6 +61,8 @@ _REPORTED_DIFFERENCE = 0.005  # smallest difference of the transfer that is repo
 _OVERSHOOT, _SURE_OF_OVERSHOOT = 0.005, 6.0  # of the edge, and standard errors
 _OVERSHOOT_REACH = 6.0  # pixels from the edge
 _TINY = 1e-30
+_LARGEST_GAMMA = 3.0
+_ROUNDED = 0.6  # rounding steps, standard deviation below which noise does not average rounding
 _NODES = 32
 _ANGLES = np.pi * np.arange(1, _NODES + 1) / (_NODES + 1)
 # A uniform disc of diameter 2 across a line: Gauss and Chebyshev's rule of the second kind.
@@ -236,7 +238,9 @@ def from_edge(
     """Measure the resolution from the picture of one straight edge, at any angle.
 
     The noise is measured on both sides of the edge. Uneven light and a slight curvature of the edge
-    are fitted if the picture shows them. An edge along the rows or the columns (or at 45 degrees)
+    are fitted if the picture shows them. A gamma that bends the edge spread beyond its noise is
+    found; otherwise a finding says how far one may move the blur, unless the numbers are raw ones
+    of a `sensor`. An edge along the rows or the columns (or at 45 degrees)
     samples few distances; rotate the chart by about 5 degrees.
 
     Args:
@@ -285,7 +289,10 @@ def from_edge(
     blur = Blur(shape, diffraction)
     problem, start = _problem(pixels, sensor, blur)
     found = fit(problem, start=start, misfit="inflate")
-    return _measure(found, pixels, blur, reach)
+    result = _measure(found, pixels, blur, reach)
+    raw = sensor is not None and np.ndim(image) == 2
+    bent = _nonlinear(result, pixels, float(problem.inputs["black"]), raw)
+    return replace(result, findings=(*result.findings, *bent))
 
 
 class _Pixels:
@@ -300,7 +307,9 @@ class _Pixels:
         distance = _distance(self.inputs, np.radians(angle), place, 0.0)
         self.span = float(np.abs(distance).max())
         noise = np.full(picture.shape, np.nan)
-        self.level, sd = [], []
+        self.level, sd, self.block_variances = [], [], []
+        across = picture.shape[1] // _BLOCK + 1
+        blocks = self.row // _BLOCK * across + self.column // _BLOCK
         for side in (-1, 1):
             far = side * distance
             if far.max() < _LEAST:
@@ -314,6 +323,10 @@ class _Pixels:
             _refuse_mosaic(self.row[flat], self.column[flat], missed, self.value[flat])
             self.level.append(float(self.value[flat].mean()))
             sd.append(float(np.sqrt(np.sum(missed**2) / max(flat.sum() - 3, 1))))
+            count = np.bincount(blocks[flat])
+            full = count >= _BLOCK**2 / 2
+            square = np.bincount(blocks[flat], missed**2)
+            self.block_variances.append(square[full] / count[full])
             noise[self.row[flat], self.column[flat]] = missed / max(sd[-1], 1e-30)
         low, high = self.level
         if not high - low > _SIGNIFICANT * max(sd) / np.sqrt(_LEAST):
@@ -321,16 +334,17 @@ class _Pixels:
                 "from_edge: the levels on both sides are equal within the noise; give a region "
                 "with one edge."
             )
-        step = np.diff(np.unique(self.value)).min()  # rounding step of whole numbers
-        least = max(step / np.sqrt(12), 1e-6 * (high - low), np.finfo(np.float32).eps * abs(high))
+        self.side_sd = sd
+        self.step = np.diff(np.unique(self.value)).min()  # rounding step of whole numbers
+        least = max(
+            self.step / np.sqrt(12), 1e-6 * (high - low), np.finfo(np.float32).eps * abs(high)
+        )
         bins = np.round(distance).astype(int)
         bins -= bins.min()
         mean = np.bincount(bins, self.value) / np.maximum(np.bincount(bins), 1)
         share = np.clip((mean[bins] - low) / (high - low), 0, 1)
         variance = sd[0] ** 2 + (sd[1] ** 2 - sd[0] ** 2) * share
         self.sd = np.sqrt(np.maximum(variance, least**2))
-        across = picture.shape[1] // _BLOCK + 1
-        blocks = self.row // _BLOCK * across + self.column // _BLOCK
         self.blocks = np.unique(blocks, return_inverse=True)[1] if _are_correlated(noise) else None
 
 
@@ -565,7 +579,7 @@ def _measure(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolutio
     missed = np.asarray(found.residuals).ravel() * pixels.sd / contrast
     reach = min(reach, -distance.min(), distance.max())
     within = np.abs(distance) <= reach
-    transfer, covariance, skew = _free_transfer(
+    transfer, covariance = _free_transfer(
         distance[within], missed[within], pixels.sd[within] / contrast, reach,
         None if pixels.blocks is None else pixels.blocks[within],
     )  # fmt: skip
@@ -584,7 +598,88 @@ def _measure(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolutio
         found, frequency, otf, covariance + scale**2 * np.outer(otf, otf),
         place, spread[seen], np.sqrt(variance[seen]), blur, (),
     )  # fmt: skip
-    return replace(result, findings=tuple(_findings(result, transfer[1], covariance, skew, pixels)))
+    return replace(result, findings=tuple(_findings(result, transfer[1], covariance, pixels)))
+
+
+def _nonlinear(result: Resolution, pixels: _Pixels, black: float, raw: bool) -> Iterator[str]:
+    """Say whether noise and shape of the edge are those of numbers with a gamma, or how far a gamma
+    that they do not exclude would move the blur.
+
+    A symmetric blur has a symmetric edge spread, and a gamma bends it. The fit is not weighted, so
+    that an error in the shape of a symmetric blur, which is odd about the edge, does not pass into
+    the exponent.
+    """
+    dark, bright = pixels.block_variances
+    if min(pixels.side_sd) < _ROUNDED * pixels.step:
+        if not raw:
+            yield (
+                "The numbers are taken as linear in the light. The picture has less noise than "
+                "rounding, and no gamma can be told from its edge."
+            )
+        return
+    if min(dark.size, bright.size) > 2:
+        test = stats.ttest_ind(np.log(dark), np.log(bright), equal_var=False, alternative="greater")
+        if test.pvalue < _CHANCE / 10:
+            ratio = np.sqrt(bright.mean() / dark.mean())
+            yield (
+                f"The bright side has {ratio:.2g} of the noise of the dark side, but shot noise "
+                "grows with the light: the numbers were smoothed, or they are not linear in the "
+                "light, and width and MTF are wrong. Decode sRGB or another gamma first."
+            )
+    best = {name: float(np.asarray(number)) for name, number in result.fit.values.items()}
+    low, high = best["low"] - black, best["high"] - black
+    turn = np.radians(best["angle"])
+    distance = _distance(pixels.inputs, turn, best["place"], best["curvature"])
+    reach = max(_LEAST, 3 * best["blur"])
+    near = np.abs(distance) <= reach
+    distance, x, y = distance[near], *(pixels.inputs[name][near] for name in ("x", "y"))
+    along = np.cos(turn) * y - np.sin(turn) * x
+    along /= np.abs(along).max()
+    value = (pixels.value[near] - best["low"]) / (high - low)
+    even = np.stack([np.ones(x.size), x / np.abs(x).max(), y / np.abs(y).max()], 1)
+    grid = np.linspace(-reach - 3, reach + 3, 1001)
+    span = 8 * float(np.ceil((reach + 3) / 8))
+    spread = jax.jit(lambda width: _edge(grid, best | {"blur": width}, result.blur, span))
+
+    def missed(unknown: np.ndarray) -> np.ndarray:
+        """Return residuals after both levels and uneven light, which are linear, are fitted."""
+        place, tilt, bend, width, exponent = unknown
+        start = (max(low, 0.0) / high) ** (1 / exponent)
+        light = start + (1 - start) * np.clip(spread(width), 0, 1)
+        moved = distance - place - tilt * along - bend * along**2
+        lit = np.interp(moved, grid, light**exponent)
+        columns = np.concatenate([even, lit[:, None] * even], 1)
+        return value - columns @ np.linalg.lstsq(columns, value)[0]
+
+    first = [0, 0, 0, max(best["blur"], 0.1), 1]
+    bounds = [-1, -1, -1, 0, 1 / _LARGEST_GAMMA], [1, 1, 1, np.inf, _LARGEST_GAMMA]
+    found = optimize.least_squares(missed, first, bounds=bounds, x_scale=0.1)
+    inverse = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+    scores = found.jac * found.fun[:, None] * np.sqrt(x.size / (x.size - 11))
+    if pixels.blocks is not None:
+        sums = np.zeros((pixels.blocks.max() + 1, scores.shape[1]))
+        np.add.at(sums, pixels.blocks[near], scores)
+        scores = sums
+    covariance = inverse @ (scores.T @ scores) @ inverse
+    exponent, sd = found.x[-1], float(np.sqrt(covariance[-1, -1]))
+    blur = next(e for e in result.estimates if e.name == "blur")
+    if abs(exponent - 1) > stats.norm.isf(_CHANCE / 2) * sd:
+        yield (
+            f"The edge spread is not symmetric: it is bent as if the numbers were the light to the "
+            f"power of {exponent:.3f} ± {sd:.2g}, a gamma of {1 / exponent:.3g}. If they are, "
+            f"width and MTF are wrong (the blur is {found.x[3]:.4g} ± "
+            f"{np.sqrt(covariance[3, 3]):.2g} pixels): decode sRGB or another gamma first. "
+            "Another cause is coma; `otf` is the real part of the transfer."
+        )
+        return
+    least = max(exponent - 1.96 * sd, 1 / _LARGEST_GAMMA)
+    moved = covariance[3, 4] / covariance[4, 4] * (least - 1)
+    if not raw and least < 1 and abs(moved) > blur.standard_error:
+        yield (
+            "The numbers are taken as linear in the light. By its shape alone this edge may have "
+            f"a gamma of up to {1 / least:.2f}, with which the blur would be "
+            f"{blur.value + moved:.4g} pixels. For raw numbers, `sensor` says that they are linear."
+        )
 
 
 def _free_transfer(
@@ -593,9 +688,9 @@ def _free_transfer(
     sd: Float[np.ndarray, " pixels"],
     reach: float,
     blocks: np.ndarray | None,
-) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, tuple[np.ndarray, np.ndarray]]:
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Fit the harmonics to the residuals. Return the frequencies with the correction of the
-    transfer, its covariance, and the imaginary part with its covariance.
+    transfer, and its covariance.
     """
     order = np.arange(1, 4 * reach * _FINEST, 2)
     while True:
@@ -620,18 +715,13 @@ def _free_transfer(
         np.add.at(sums, blocks, weighted * left[:, None])
         covariance = inverse @ (sums.T @ sums) @ inverse
     n = len(order)
-    return (
-        (frequency, found[:n]),
-        covariance[:n, :n],
-        (found[n : 2 * n], covariance[n : 2 * n, n : 2 * n]),
-    )
+    return (frequency, found[:n]), covariance[:n, :n]
 
 
 def _findings(
     result: Resolution,
     added: np.ndarray,
     covariance: np.ndarray,
-    skew: tuple[np.ndarray, np.ndarray],
     pixels: _Pixels,
 ) -> Iterator[str]:  # fmt: skip
     for sentence in (*result.fit.failures, *result.fit.findings):
@@ -668,12 +758,6 @@ def _findings(
             f"The measured MTF differs from the model's by up to {abs(added[worst]):.3f}, at "
             f"{result.frequency[worst]:.2f} cycles per pixel ({abs(added[worst]) / sd[worst]:.0f} "
             "standard errors). Use `otf`, which is measured without the model."
-        )
-    if np.abs(skew[0]).max() > _REPORTED_DIFFERENCE and _p_value(*skew) < _CHANCE:
-        yield (
-            f"The blur is not symmetric about the edge: the transfer has an imaginary part of up "
-            f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part. Causes are coma, and "
-            "numbers that are not linear in the light: decode sRGB or another gamma first."
         )
     over = (result.otf - 1) / np.sqrt(np.diag(result.otf_covariance))
     if over.max() > _SIGNIFICANT:

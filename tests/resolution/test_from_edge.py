@@ -1,5 +1,7 @@
 """Resolution from an edge against pictures that were averaged over 16 x 16 places of each pixel."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -198,5 +200,50 @@ def test_what_is_no_edge_in_linear_numbers_is_said():
     linear = noisy(mean, rng) / 1100
     encoded = np.round(255 * np.asarray(jv.srgb_encode(jnp.asarray(np.clip(linear, 0, 1)))))
     told = str(resolution.from_edge(encoded))
-    assert "decode sRGB or another gamma" in told
+    assert "Decode sRGB or another gamma" in told
     assert "start" not in told
+
+
+def encoded_edge(gamma, seed, *, low=100.0, size=64, noise=(4.0, 0.02)):
+    """12-bit numbers with a gamma, of a linear camera's edge of blur .7."""
+    mean = expected((size, size), 5.0, 0.3, 0.7, low=low)
+    linear = mean + np.random.default_rng(seed).normal(size=mean.shape) * np.sqrt(
+        noise[0] + noise[1] * mean
+    )
+    return np.round(4095 * (linear / 1100) ** (1 / gamma))
+
+
+def test_a_gamma_is_told_by_the_shape_of_the_edge():
+    """Power and blur within their own errors."""
+    told = str(resolution.from_edge(encoded_edge(1.4, 0)))
+    power, error, width, wide = map(
+        float, re.search(r"power of (\S+) ± (\S+), .* blur is (\S+) ± (\S+) pix", told).groups()
+    )
+    assert abs(power - 1 / 1.4) < 3 * error < 0.3
+    assert abs(width - 0.7) < 3 * wide < 0.05
+
+
+def test_linear_numbers_have_no_gamma():
+    for sensor in (None, jv.Sensor(bits=12)):
+        told = str(resolution.from_edge(encoded_edge(1.0, 1), sensor=sensor))
+        assert "not symmetric" not in told
+        assert "bright side has" not in told
+        assert ("taken as linear" in told) == (sensor is None)
+
+
+@pytest.mark.slow
+def test_gammas_of_edges_are_within_their_errors():
+    """Power and blur of encoded edges; linear ones, also of another blur or uneven, have none."""
+    powers = []
+    for seed in range(12):
+        for gamma in (1.0, 1.2, 2.2):
+            image = encoded_edge(gamma, seed, low=(100.0, 300.0)[seed % 2])
+            told = str(resolution.from_edge(image))
+            seen = re.search(r"power of (\S+) ± (\S+),", told)
+            if seen is not None:
+                power, error = map(float, seen.groups())
+                powers.append((power - 1 / gamma) / error)
+            assert gamma < 2 or "not symmetric" in told or "bright side has" in told
+            assert gamma > 1 or seen is None
+            assert seen or "gamma of up to" in told or gamma == 1.0
+    assert np.abs(powers).max() < 4
