@@ -60,6 +60,9 @@ _MISFIT_RATIO = 1.3  # ratio of residuals to the stated noise from which a misfi
 _NEGATIVE = 2.0  # ratio of residuals to the fitted noise that sensitivities above 0 do not explain
 _FEWEST_EQUAL = 2  # equal largest readings that count as clipped; one more of whole numbers
 _COARSE = 0.05  # share of the largest reading: larger residuals are no noise of a photograph
+_NARROW = 0.2  # of the range of wavelengths, width of a band of light
+_SHIFTS = 1e-9 * np.arange(-25, 26)  # m, errors of the wavelengths of bands that are tried
+_SURE_OF_SHIFT = 4.0  # standard errors
 _CAUSES = (
     "Causes are uneven light, a gamma, a black level, stray light, clipped patches, or spectra "
     "that are wrong or in another order."
@@ -331,9 +334,57 @@ def from_patches(
                 f"{format_percent(off / channel.unit)} of the largest (rms), more than noise does; "
                 f"intervals allow for it. {_CAUSES}"
             )
-    return Sensitivities(
-        at, names, np.stack(found, axis=-1), np.array(lengths), np.array(noises), tuple(sentences)
-    )
+    drawn = np.stack(found, axis=-1)
+    narrow = _widths(spectra, at) < _NARROW * np.ptp(at)
+    sentences += _shifted_in_words(fits, [narrow[np.isfinite(one)] for one in y.T], at, drawn)
+    return Sensitivities(at, names, drawn, np.array(lengths), np.array(noises), tuple(sentences))
+
+
+def _widths(spectra: np.ndarray, at: np.ndarray) -> Float[np.ndarray, " patches"]:
+    """Return the width of each spectrum, in m: that of a box with its mean and mean square."""
+    apart = np.gradient(at)
+    squares = np.maximum(spectra**2 @ apart, 1e-300)
+    return (spectra @ apart) ** 2 / squares
+
+
+def _shifted_in_words(
+    fits: Sequence["_Channel"], narrow: Sequence[np.ndarray], at: np.ndarray, draws: np.ndarray
+) -> list[str]:
+    """Say by how much the wavelengths of narrow bands are off, which readings of broad spectra
+    show, or how exact they must be."""
+    if not all(bands.sum() >= _FEWEST for bands in narrow):
+        return []
+    slopes = np.gradient(draws.mean(axis=0), at, axis=0)
+    errors = np.sqrt(np.mean(draws.var(axis=0), axis=0))
+    least = float(np.min(errors / np.sqrt(np.mean(slopes**2, axis=0))))
+    shift, sd = 0.0, np.inf
+    if not all(bands.all() for bands in narrow):
+        evidence = np.sum(
+            [
+                [one.moved(bands, at, shift) for shift in _SHIFTS]
+                for one, bands in zip(fits, narrow, strict=True)
+            ],
+            axis=0,
+        )
+        weights = np.exp(evidence - evidence.max())
+        shift = float(np.average(_SHIFTS, weights=weights))
+        sd = float(np.sqrt(np.average((_SHIFTS - shift) ** 2, weights=weights)))
+        sd = float(np.hypot(sd, np.ptp(_SHIFTS[:2]) / np.sqrt(12)))
+    if abs(shift) > _SURE_OF_SHIFT * sd:
+        return [
+            f"Readings of narrow bands and of broad spectra agree best if the bands lie "
+            f"{1e9 * shift:+.1f} ± {1e9 * sd:.1g} nm from the stated wavelengths, as with a "
+            f"monochromator out of adjustment. From {1e9 * least:.2g} nm on such an error exceeds "
+            "the intervals. Correct the wavelengths."
+        ]
+    if sd > max(least, abs(_SHIFTS[0]) / 10):
+        return [
+            "The wavelengths of narrow bands are taken as exact. The readings do not show an error "
+            "that is common to all, which moves the curves by as much; from "
+            f"{1e9 * least:.2g} nm on it exceeds the intervals. Check them with a spectral line, "
+            "or add readings of a chart."
+        ]
+    return []
 
 
 def _clipped_in_words(name: str, readings: np.ndarray) -> list[str]:
@@ -484,6 +535,24 @@ class _Channel:
         covariance = np.exp(2 * self.best[0]) * of_prior + noise
         left = np.linalg.solve(covariance, self.y[:, None])[..., 0]
         return -(left @ self.y + np.linalg.slogdet(covariance)[1]) / 2
+
+    def moved(self, bands: np.ndarray, at: np.ndarray, shift: float) -> float:
+        """Return the logarithm of the evidence if some readings, of narrow bands, are those of
+        wavelengths that differ by a shift in m from the stated ones."""
+        places = np.concatenate([at, at + shift])
+        light = np.concatenate([self.light * ~bands[:, None], self.light * bands[:, None]], axis=1)
+        seen = light * np.concatenate([self.passed, np.interp(places[at.size :], at, self.passed)])
+        apart = np.abs(places[:, None] - places)
+        of_prior = np.exp(2 * self.best[0]) * _matern(apart / np.exp(self.best[1]))[0]
+        fine = _FINE**2 * _matern(apart / _FINE_LENGTH)[0]
+        noise = np.diag(self.noise(self.best) ** 2)
+        covariance = seen @ of_prior @ seen.T + light @ fine @ light.T + noise
+        return (
+            float(
+                -(self.y @ np.linalg.solve(covariance, self.y)) - np.linalg.slogdet(covariance)[1]
+            )
+            / 2
+        )
 
     def _spread(self) -> np.ndarray:
         """Return the covariance of the errors of `best`."""

@@ -85,6 +85,27 @@ def test_narrow_bands_tell_the_curve_where_they_are():
     np.testing.assert_allclose(found.curves.mean, true, atol=0.07)
 
 
+@pytest.mark.parametrize("off", [-10.0, 0.0])
+def test_wavelengths_of_bands_that_are_off_are_named(off):
+    """By readings of a chart; bands alone cannot show it, and a finding says how much matters."""
+    true, rng = camera(NAMES[0]), np.random.default_rng(0)
+    bands = np.exp(-(((NM - np.arange(410, 700, 20)[:, None]) / 8.0) ** 2))
+    moved = np.array([np.interp(NM + off, NM, one) for one in true.T]).T
+    light = np.concatenate([bands, CHART * DAY])
+    readings = np.concatenate([bands @ moved, CHART * DAY @ true])
+    sd = 0.005 * readings.max()
+    readings = readings + sd * rng.normal(size=readings.shape)
+    alone, both = (
+        sensitivities.from_patches(readings[:n], light[:n], 1e-9 * NM, sd=sd, draws=20)
+        for n in (len(bands), None)
+    )
+    assert "wavelengths of narrow bands are taken as exact" in " ".join(alone.findings)
+    told = " ".join(both.findings)
+    assert ("agree best if" in told) == (off != 0)
+    if off:
+        assert float(told.split("bands lie ")[1].split()[0]) == pytest.approx(off, abs=2.5)
+
+
 def test_noise_a_thousand_times_the_stated_one_widens_as_much():
     """Also where the standard deviations are in another unit than the readings."""
     true, covered = camera(NAMES[0]), []
