@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 MOST_VALUES = 2**18  # distinct numbers; frames with more lie on no grid
 RARE = 1e-9  # probability that the codes above some number share a step by chance
+MOST_LABELS = 7  # different numbers of masks or labels, too few to measure noise
 FEWEST_WHOLE = 5  # distinct numbers needed to decide that all are whole
 TOP_SHARE = 1e-3  # share of the pixels that must have these codes
 CHANCE = 1e-3  # probability that numbers of step 1 are all multiples of a larger step
@@ -197,6 +198,12 @@ class Codes:
         if self._continuous or self._broken.size:
             return False
         return True if np.count_nonzero(self._whole) >= FEWEST_WHOLE else None
+
+    @property
+    def few(self) -> list[float]:
+        """Return the different numbers if they are too few for the noise of a camera, else []."""
+        known = np.union1d(np.flatnonzero(self._whole), self._broken[0])
+        return [] if self._continuous or known.size > MOST_LABELS else known.tolist()
 
     def __add__(self, other: "Codes") -> "Codes":
         """Add the counts of two sets of frames."""

@@ -130,6 +130,15 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     dark, of_darks, unlit = _reduce_levels(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright, of_flats, lit = _reduce_levels(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    labels, rise = lit.few, float(bright.mean.max() - dark.mean.max())
+    if len(labels) > 1 and rise > 0.02 * (labels[-1] - labels[0]):
+        *first, last = (f"{value:g}" for value in labels)
+        listed = f"{', '.join(first)} and {last}" if first else last
+        raise InputError(
+            f"{rig.folder}: all flats together hold only the values {listed}, as masks, labels or "
+            "thresholded frames do; noise cannot be measured with so few codes. Give raw frames "
+            "over the range of the camera."
+        )
     taken = series_times([rig.path(shown[0].name) for shown in of_flats])
     if taken is not None:
         bright = replace(bright, taken=_array(taken))
