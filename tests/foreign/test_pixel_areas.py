@@ -7,6 +7,7 @@ import pytest
 
 from fitting import joint, reflectance
 from fitting.inference.posterior import estimates
+from fitting.reflectance.from_images.pixel_area import recognise_points
 from fitting.reflectance.from_images.read import POINTS
 from fitting.reflectance.from_images.read import _normals_within as normals_within
 from fitting.reflectance.from_images.samples import View, predict, select
@@ -82,6 +83,31 @@ def test_normals_within_pixels_of_a_map_follow_from_neighbours():
     exact = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
     inner = np.hypot(x, y).max(axis=0) < 0.7
     assert np.linalg.norm(within - exact, axis=-1)[:, inner].max() < 0.1 * 0.3 / RADIUS
+
+
+@pytest.mark.parametrize(
+    ("parts", "gain", "words"),
+    [
+        (1, 2.0, "pixels were taken as points"),
+        (1, 30.0, "The noise hides whether pixels are means"),
+        (8, 2.0, ""),
+    ],
+)
+def test_shot_noise_that_hides_what_pixels_are_is_said(parts, gain, words):
+    """At the true parameters, with their noise."""
+    shape = {"read_noise": READ, "gain": gain}
+    linear = signal(LIGHTS, parts)
+    electrons = np.random.default_rng(0).poisson(linear / gain)
+    images = np.clip(np.round(gain * electrons + BLACK), 0, 4095)
+    seen = observed(images, camera=Camera(bits=12, black_level=BLACK, **shape))
+    chosen = select(seen, held_out=False, form=Form("phong"), minimum_cosine=0.0)
+    samples = View(seen, 0, chosen).samples(Form("phong"))
+    vector = np.log([*TRUTH.values()])
+    deviation = np.sqrt(gain * np.maximum(predict(vector, samples).signal, 1) + 1 / 12)
+    found = recognise_points(seen, vector, replace(samples, deviation=deviation), chosen.light)
+    assert (found.within is None) == ("points" in words)
+    assert words in " ".join(found.findings)
+    assert bool(words) == (found is not seen)
 
 
 @pytest.mark.slow

@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from ...inference.parameters import names
 from .read import Photographs
 from .samples import Samples, predict
-from .signal import Vector
+from .signal import Vector, parameter_space
 
-NEAR, FAR = 3.0, 5.0  # standard errors of a from 0 and from 1 for pixels that are points
+NEAR, FAR = 3.0, 3.5  # standard errors of a from 0 and from 1 for pixels that are points
 MOST = 0.5  # a of points; a surface that no model describes gives any number
 
 
@@ -27,6 +28,8 @@ class AreaShare(NamedTuple):
     share: float
     error: float  # standard error, which allows for errors that are shared within images
     explained: float  # share of the squared residuals that a, if not 1, explains
+    # relative changes of parameters with pixels as points, where over half their standard errors
+    moves: dict[str, float]
 
     @property
     def blur(self) -> float:
@@ -37,9 +40,10 @@ class AreaShare(NamedTuple):
 def recognise_points(
     observation: Photographs, vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
 ) -> Photographs:
-    """Return the photographs, with pixels as points if the fit of one channel shows that they are.
-    The `samples` have the fit's deviations and means over pixels; `vector` is its optimum."""
-    share, error, _ = area_share(vector, samples, light)
+    """Return the photographs, with pixels as points if the fit of one channel shows that they are,
+    or with a finding if it does not show it and that matters. The `samples` have the fit's
+    deviations and means over pixels; `vector` is its optimum."""
+    share, error, _, moves = area_share(vector, samples, light)
     if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
         sentence = (
             "The highlights show the surface at the middle of each pixel, as in many rendered "
@@ -47,6 +51,15 @@ def recognise_points(
             f"{share:.2f} ± {error:.2f}): pixels were taken as points."
         )
         return replace(observation, within=None, findings=(*observation.findings, sentence))
+    if abs(share) < NEAR * error and moves:
+        listed = ", ".join(f"{name} by {100 * move:+.2g} %" for name, move in moves.items())
+        sentence = (
+            "The noise hides whether pixels are means over their areas, as in a camera, which is "
+            "assumed here, or values at their centres, as in many rendered pictures (the share of "
+            f"means is {share:.2f} ± {error:.2f}). With values at the centres, numbers of the best "
+            f"model, {samples.form.model}, change by over half their standard errors: {listed}."
+        )
+        return replace(observation, findings=(*observation.findings, sentence))
     return observation
 
 
@@ -57,7 +70,7 @@ def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " sample
         root = np.where(samples.saturated, 0, root)
     exact = predict(vector, samples)
     middle = predict(vector, replace(samples, offset=None, points=()))
-    others, _ = np.linalg.qr((exact.slopes * root).T)
+    others, triangle = np.linalg.qr((exact.slopes * root).T)
 
     def residual(dn: np.ndarray) -> np.ndarray:
         """Return what the fitted parameters cannot explain, in standard deviations."""
@@ -67,10 +80,15 @@ def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " sample
     area, left = residual(exact.dn - middle.dn), residual(samples.dn - exact.dn)
     squares = np.bincount(light, area**2)
     if not squares.any():
-        return AreaShare(1.0, np.inf, 0.0)
+        return AreaShare(1.0, np.inf, 0.0, {})
     pulls = np.bincount(light, area * left)
     change = pulls.sum() / squares.sum()
     scatter = np.sum((pulls - change * squares) ** 2)
     error = np.sqrt(max(scatter, squares.sum())) / squares.sum()
     explained = change * pulls.sum() / max(left @ left, 1e-300)
-    return AreaShare(float(1 + change), float(error), float(explained))
+    inverse = np.linalg.pinv(triangle)
+    moves = inverse @ (others.T @ ((exact.dn - middle.dn) * root))
+    sure = np.abs(moves) > np.linalg.norm(inverse, axis=1) / 2
+    known = names(parameter_space(samples.form))
+    moved = {known[i]: float(np.expm1(moves[i])) for i in np.flatnonzero(sure)}
+    return AreaShare(float(1 + change), float(error), float(explained), moved)
