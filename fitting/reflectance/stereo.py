@@ -67,6 +67,7 @@ AGREE, TRIPLES = 5, 250  # least readings that agree; most triples of lights tha
 FEWEST = 30  # fewest pixels to judge an image
 HALF_NORMAL = 0.8318  # interquartile range of |x| if x is a Gaussian of unit variance
 ALONE = 0.02  # logarithm of a factor from which an image deviates from those that agree
+WHOLLY = 0.95  # share of residuals that factors explain if no image is of another scene
 SHARED, SMALL = 0.5, 0.02  # shares of residuals' squares and of the albedo to be reported
 FITTED = 256  # pixels of a first test whether a rough body explains residuals
 SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
@@ -281,14 +282,18 @@ def photometric_stereo(
         readings = readings - surface.extra
         counts = _used_readings(rows, readings, between, limits, robust=robust)
     apart, findings = _contradicted_images(rows, readings, counts, limits)
+    common, alone = _common(rows, readings, between, limits, robust=robust)
+    if common is not None and common.explained > WHOLLY:
+        apart, findings = np.zeros_like(apart), ()  # factors explain the contradiction
     if robust and apart.any():
         between[apart] = False
-    common, alone = _common(rows, readings, between, limits, robust=robust)
+        common, alone = _common(rows, readings, between, limits, robust=robust)
     if common is not None and alone.any():
         between[alone] = False
         findings += _deviating_factors_finding(common, alone)
         common, _ = _common(rows, readings, between, limits, robust=False)
-    shadow = offset_in_shadow(rows, readings, counts & between)
+    measured = stack.reshape(len(stack), -1)
+    shadow = offset_in_shadow(rows, readings, counts & between, measured)
     if shadow is not None and (
         common is None
         or common.offset
@@ -624,13 +629,14 @@ def _misfit_finding(
             f"by {turned:.2g} degrees (median), which the standard deviations include. If the "
             'surface is rough, give model = "oren-nayar".'
         )
-    surface, law = "is not Lambertian", "m = E rho n.l"
+    surface, law, near = "is not Lambertian", "m = E rho n.l", ""
     if model != "lambert":
         surface, law = f"does not follow {model}", "the model"
+        near = ", or the camera is not far away (viewer is the same in all pixels)"
     return (
         f"The surface {surface}, or the readings are not linear (room light, a black level, "
-        "a gamma, clipped pixels), or the lights are not as stated: under neighbouring lights, the "
-        f"readings depart from {law} in the same way, by "
+        f"a gamma, clipped pixels), or the lights are not as stated{near}: under neighbouring "
+        f"lights, the readings depart from {law} in the same way, by "
         f"{format_percent(np.nanmedian(misfit), decimals=1)} of the albedo (median over pixels). "
         "The standard deviations of normals include this and are "
         f"{np.nanmedian(wider):.1f} times those of noise alone.{few} In a hollow, where "

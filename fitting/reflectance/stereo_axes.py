@@ -5,11 +5,14 @@ The slopes p = -nx / nz and q = -ny / nz of a surface have no curl (Horn and Bro
 Vision, Graphics, and Image Processing 33, 1986). With the complex number g = p + i q, the
 derivative (d/dx - i d/dy) g is therefore real at every pixel. If the axes of the lights are rotated
 about the viewing axis, this derivative has the phase of the rotation angle at every pixel. If the
-axes are mirrored, the derivative of the conjugate of g has that phase instead.
+axes are mirrored, the derivative of the conjugate of g has that phase instead. If the signs of both
+p and q are wrong, the slopes are those of the surface turned inside out, which has no curl either.
+Only the border shows this: where a body ends steeply, its normals point outward.
 """
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.ndimage import convolve
 
 from ..inference.formatting import format_percent
 
@@ -17,6 +20,7 @@ STEEPEST = 0.3  # least nz: slopes at the rim of a body change too fast for diff
 FEWEST = 50  # fewest cells of 2 x 2 blocks
 BLOCKS = 24  # along the shorter side of the image
 TURNING, LEFT = 0.2, 0.05  # share of the curl: reported in stated axes; largest in better ones
+RIM, INWARD = 0.6, 0.9  # largest nz at a steep border; share that points inward in a hollow
 AWAY = 0.5  # share of normals that point away from the camera
 
 
@@ -42,7 +46,7 @@ def axes_findings(
     slopes = float((np.abs(across) ** 2).sum())
     curl = float((np.imag(across) ** 2).sum()) / slopes if slopes > 0 else 0.0  # 0: a plane
     if curl < TURNING:
-        return ()
+        return _hollow_finding(normals, float(np.sign(viewer[2])))
     up = "up" if viewer[2] > 0 else "down"
     found = []
     for mirrored, field in ((False, across), (True, along)):
@@ -60,6 +64,24 @@ def axes_findings(
         f"In axes with x right and y {up} in the image, the normals belong to no surface: "
         f"{format_percent(curl)} of the squares of their derivatives are a curl. They belong to "
         f"one {other}. Check the axes of the lights and the order of the images.",
+    )
+
+
+def _hollow_finding(normals: Float[np.ndarray, "h w 3"], side: float) -> tuple[str, ...]:
+    """Return a sentence on normals that point inward where the surface ends steeply."""
+    known = np.isfinite(normals[..., 2])
+    missing = np.pad(~known, 1, constant_values=False).astype(float)
+    right, up = np.array([[1, 0, -1]] * 3), np.array([[-1] * 3, [0] * 3, [1] * 3])
+    outward = [convolve(missing, kernel)[1:-1, 1:-1] for kernel in (right, up)]
+    with np.errstate(invalid="ignore"):
+        steep = known & (side * normals[..., 2] < RIM) & (np.hypot(*outward) > 0)
+        along = normals[..., 0] * outward[0] + side * normals[..., 1] * outward[1]
+    if steep.sum() < FEWEST or np.mean(along[steep] < 0) < INWARD:
+        return ()
+    return (
+        "Where the surface ends, its normals point inward, as those of a bowl. If it is not hollow "
+        "but bulges, x and y of the light directions have the wrong sign, or the images are "
+        "rotated by 180 degrees.",
     )
 
 

@@ -148,12 +148,15 @@ def common_departure(rows: Rows, readings: Readings, counts: Counted) -> Common 
     return max(found, key=lambda one: one.explained, default=None)
 
 
-def offset_in_shadow(rows: Rows, readings: Readings, counts: Counted) -> Common | None:
+def offset_in_shadow(
+    rows: Rows, readings: Readings, counts: Counted, measured: Readings
+) -> Common | None:
     """Return an offset of all readings, estimated from pixels that face away from a light and
-    should therefore read 0."""
+    should therefore read 0. The normals come from `readings` without highlights, and the offset
+    from the `measured` readings."""
     some = _bright(readings, counts)
-    own, rows = readings[:, some], take_pixels(rows, some)
-    g, _ = solved(rows, own, counts[:, some].astype(float))
+    own, rows = measured[:, some], take_pixels(rows, some)
+    g, _ = solved(rows, readings[:, some], counts[:, some].astype(float))
     shades = predicted(rows, g) / strengths_of(rows) / np.linalg.norm(g, axis=1)
     unlit = (shades < -UNLIT) & ~np.isnan(own)
     parts = [own[:, part][unlit[:, part]] for part in np.array_split(np.arange(some.size), PARTS)]

@@ -692,3 +692,56 @@ def test_shadowed_readings_that_agree_on_another_normal_leave_none(level):
     known = part & np.isfinite(found.normal_sd)
     assert np.sum(off[known] > 2.448 * found.normal_sd[known]) <= 0.01 * part.sum()
     assert any("pixels the readings contradict each other" in s for s in found.findings)
+
+
+SIDE = 32
+Y, X = (np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2) / 14
+BALL = np.stack([X, -Y, np.sqrt(np.clip(1 - X**2 - Y**2, 0, 1))], axis=-1)
+ON = X**2 + Y**2 < 0.95
+TILTS, AROUND = np.radians(np.linspace(15, 55, 8)), 2.4 * np.arange(8)
+EIGHT = np.stack(
+    [np.sin(TILTS) * np.cos(AROUND), np.sin(TILTS) * np.sin(AROUND), np.cos(TILTS)], axis=-1
+)
+
+
+def photographs_of_a_ball(gloss=0.0):
+    """Readings of a ball of albedo 1000 with a lobe of Phong's model on black, noise 3."""
+    cosine = np.einsum("hwc,lc->lhw", BALL, EIGHT)
+    mirrored = np.maximum(2 * cosine * BALL[..., 2] - EIGHT[:, 2, None, None], 0)
+    shading = 1000 * cosine + gloss * mirrored**30
+    noise = np.random.default_rng(0).normal(0, 3, shading.shape)
+    return np.where(ON & (cosine > 0), shading, 0) + noise
+
+
+def degrees_off(found):
+    off = np.degrees(np.arccos(np.clip((found.normals * BALL).sum(-1), -1, 1)))
+    return off[ON & np.isfinite(off)]
+
+
+@pytest.mark.slow
+def test_a_model_with_a_highlight_leaves_black_shadows_black():
+    """Where a pixel is in the shadow, the reading without the model's highlight is no reading."""
+    found = photometric_stereo(photographs_of_a_ball(500), EIGHT, model="phong")
+    assert [one[:10] for one in found.findings] == ["Material 0"]
+    assert np.median(np.degrees(found.normal_sd[np.isfinite(found.normal_sd)])) < 0.3
+    assert np.median(degrees_off(found)) < 0.3
+
+
+def test_three_of_eight_images_of_a_quarter_of_the_exposure_are_left_out():
+    images = photographs_of_a_ball()
+    images[5:] /= 4
+    found = photometric_stereo(images, EIGHT)
+    assert np.median(degrees_off(found)) < 0.5
+    for image, sentence in zip((5, 6, 7), found.findings, strict=True):
+        name, _, factor = sentence.split()[:3]
+        assert name == f"images[{image}]"
+        assert float(factor) == pytest.approx(0.25, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("axes", "viewer", "named"),
+    [((1, 1, 1), 1, False), ((-1, -1, 1), 1, True), ((1, -1, -1), -1, False)],
+)
+def test_a_ball_that_looks_hollow_in_the_stated_axes_is_named(axes, viewer, named):
+    found = photometric_stereo(photographs_of_a_ball(), EIGHT * axes, viewer=(0, 0, viewer))
+    assert any("its normals point inward" in one for one in found.findings) == named
