@@ -199,7 +199,8 @@ def test_a_density_has_one_fingerprint_in_every_process(capsys):
     assert len(set(other.split())) == 4
 
 
-@pytest.mark.parametrize("parameters", [11, 40])
+@pytest.mark.sweep
+@pytest.mark.parametrize("parameters", [40, 11])
 def test_walkers_and_moves_suit_the_dimension(parameters):
     """Independent standard normals; 40 of them where 64 walkers do not span the space."""
     space = tuple(Parameter(f"x{i}", symbol="x", unit="1") for i in range(parameters))

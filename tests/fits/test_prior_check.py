@@ -57,6 +57,7 @@ def test_a_width_that_grows_to_explain_a_prior_is_no_misfit_because_of_it():
     assert "because of it" not in told
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("prior", "value", "z"),
     [

@@ -50,7 +50,7 @@ def test_floating_counts_are_numpys(bins, value_range, dtype):
     np.testing.assert_array_equal(ours.edges, expected_edges.astype(dtype))
 
 
-@pytest.mark.sweep
+@pytest.mark.sweep("33")
 @pytest.mark.parametrize(
     ("bins", "value_range"), [(None, None), (10, None), (33, (10.0, 200.0)), (5, (0.0, 255.0))]
 )

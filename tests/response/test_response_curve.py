@@ -252,7 +252,7 @@ def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
 def test_bands_hold_where_rounding_is_coarser_than_noise(well):
     """A linear 8-bit camera whose codes noise does not dither, at one stop."""
     times = 2.0 ** np.arange(-4, 4)
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         _, codes = exposure_stack(gamma(1.0), times, rng, full_well=well)
         curve = fit_response_curve(codes, times, bits=8)
@@ -451,7 +451,7 @@ def test_rounding_follows_the_light_until_noise_dithers_it():
 def test_codes_three_stops_apart_keep_a_pure_gamma():
     """Nothing but their noise ties such codes to those between them."""
     times = 8.0 ** np.arange(-2, 2)
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         _, codes = exposure_stack(gamma(2.2), times, rng, full_well=20_000.0)
         curve = fit_response_curve(codes, times, bits=8)
