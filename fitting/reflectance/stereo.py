@@ -283,7 +283,7 @@ def photometric_stereo(
         counts = _used_readings(rows, readings, between, limits, robust=robust)
     apart, findings = _contradicted_images(rows, readings, counts, limits)
     common, alone = _common(rows, readings, between, limits, robust=robust)
-    if common is not None and common.explained > WHOLLY:
+    if common is not None and common.explained > WHOLLY and (alone > apart).any():
         apart, findings = np.zeros_like(apart), ()  # factors explain the contradiction
     if robust and apart.any():
         between[apart] = False

