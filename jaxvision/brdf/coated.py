@@ -17,7 +17,21 @@ further reflections form a geometric series of the ratio S / R. This is exact fo
 under a smooth interface. The model is reciprocal if the body is. The coat returns at most the share
 A of the light that its interface transmits, where A is the largest albedo of the body. A white body
 under a coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broad glossy
-bodies, and to 3e-3 for a glossy body of roughness 0.15. In the local frame the normal is +z."""
+bodies, and to 3e-3 for a glossy body of roughness 0.15.
+
+Sharper bodies return light to directions near the mirrored one, which r does not describe. The
+albedo of metal of reflectance 0.9 under a smooth coat of index 1.5, compared with a random walk:
+
+    roughness of the metal    largest error of the albedo
+    0.4                       0.3 %
+    0.2                       1 %
+    0.1                       3 %
+    (0.2, 0.4)                3 %
+    (0.1, 0.3)                4 %
+    (0.05, 0.4)               4 %
+    (0.02, 0.2)               6 %
+
+In the local frame the normal is +z."""
 
 from typing import Annotated, Literal
 
@@ -356,22 +370,28 @@ def _bound(x: Ends[Coated]) -> Reflection:
 
 def _from_file(
     *,
-    diffuse: Colour,
+    diffuse: Colour | None = None,
+    body: Material | None = None,
     roughness: Annotated[float, FRACTION] = 0.0,
     eta: Annotated[float, Range(LEAST_INDEX, LARGEST_INDEX)] = 1.5,
     body_roughness: Annotated[float, FRACTION] | None = None,
     optical_depth: Colour | None = None,
     distribution: Distribution = "ggx",
 ) -> Coated:
-    """A matt body under a clear coat; `body_roughness` is the roughness of an `EON` body, without
-    which the body is `Lambert`.
+    """A body under a clear coat: `Lambert`, `EON` if `body_roughness` is given, or any other by
+    `body`.
 
     Args:
         diffuse: (bands,) k_d of the body in sr^-1.
+        body: a table of a material with a BRDF, such as `{ family = "torrance_sparrow", ... }`, in
+            place of `diffuse`.
         eta: index of refraction of the coat, no unit, from 1.1 to 2.5.
         body_roughness: r of the body, no unit, in [0, 1].
     """
-    body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
+    if body is not None and body_roughness is not None:
+        raise ValueError("body_roughness is that of a matt body; give it within the body.")
+    if body is None:
+        body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
     return Coated(
         body,
         Dielectric(np.atleast_1d(eta)),

@@ -82,8 +82,8 @@ def read_mesh(
             the transform of the file's scene; None for all meshes, each transformed as in the
             file's scene.
         dtype: floating dtype; None is JAX's default.
-        uv: whether to read texture coordinates, of an OBJ (whose v points upward, and is reversed
-            here) or of a glTF primitive.
+        uv: whether to read texture coordinates, of an OBJ or PLY (whose v points upward, and is
+            reversed here) or of a glTF primitive.
 
     Returns:
         The mesh.
@@ -142,14 +142,14 @@ def _coordinates(file: Path, mesh, primitive: tuple[int, int] | None) -> np.ndar
     """Return the texture coordinates of a mesh, (vertices, 2), with v downward."""
     if primitive is not None:
         known = mesh.metadata["uv"]
-    elif file.suffix.lower() == ".obj" and mesh.metadata["pieces"] == 1:
+    elif file.suffix.lower() in (".obj", ".ply") and mesh.metadata["pieces"] == 1:
         known = getattr(mesh.visual, "uv", None)
     else:
         known = None  # trimesh rearranges the coordinates of several pieces
     if known is None or len(known) != len(mesh.vertices) or not np.isfinite(known).all():
         raise InputError(
             f"{file}: holds no texture coordinates that are read, and its surface has a map; "
-            "export them, in one mesh of an OBJ or as glTF."
+            "export them, in one mesh of an OBJ or PLY, or as glTF."
         )
     return np.asarray(known) if primitive is not None else np.asarray(known) * [1, -1] + [0, 1]
 

@@ -413,6 +413,7 @@ def test_the_front_of_a_mesh_is_that_of_its_normals(tmp_path):
         (f'Material "hair" {BALL}', "type 'hair' is not read"),
         (f'Material "conductor" "spectrum eta" "metal-MgO-eta" {BALL}', "metal-MgO-eta"),
         (f'Material "dielectric" "float roughness" .2 {BALL}', "rough glass"),
+        (f'Material "coatedconductor" {BALL}', "of at least 0.1"),
         (f'Material "coateddiffuse" "rgb albedo" [.1 0 0] {BALL}', "a coat that scatters"),
         (f'Material "diffuse" "texture reflectance" "wood" {BALL}', "names no texture"),
         (
@@ -494,3 +495,47 @@ def test_differences_from_pbrt_are_named(tmp_path):
         (tmp_path / "a.pbrt").write_text(text)
         with pytest.warns(UserWarning, match=words):
             read_scene(tmp_path / "a.pbrt")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("alpha", "most"), [(0.1, 0.035), (0.3, 0.01)])
+def test_metal_under_a_coat_is_that_of_a_walk(alpha, most, tmp_path):
+    """Metal of the reflectance 0.9 within the coat, by photons through a smooth coat of optical
+    depth 0.05."""
+    n, k = np.array([0.8, 2.4]), np.array([7.6, 7.2])  # whose index is divided by 1.5 in the coat
+    f0 = ((n / 1.5 - 1) ** 2 + (k / 1.5) ** 2) / ((n / 1.5 + 1) ** 2 + (k / 1.5) ** 2)
+    world = f"""LightSource "infinite" Material "coatedconductor" "float thickness" .05
+    "float conductor.roughness" {alpha**2} "spectrum conductor.eta" [400 {n[0]} 700 {n[0]}]
+    "spectrum conductor.k" [400 {k[0]} 700 {k[0]}] {BALL}"""
+    coat = read(tmp_path, world).scene.surfaces[0].material
+    np.testing.assert_allclose(coat.body.interface.f0, f0[0], rtol=2e-3)
+    for cosine in (1.0, 0.5):
+        wo = jnp.array([np.sqrt(1 - cosine**2), 0, cosine], coat.roughness.dtype)
+        walk = coat_walk.metal_albedo(cosine, alpha, f0[0], depth=0.05)
+        assert brdf.albedo(coat, wo)[1] == pytest.approx(walk, rel=most)
+
+
+def test_a_mesh_of_a_file_has_its_texture_coordinates(tmp_path):
+    """Of a PLY, as those of the same triangles in the scene."""
+    write_image(tmp_path / "a.png", np.full((2, 2, 3), 128, np.uint8))
+    points = [[0, 0, 0, 0.1, 0.2], [1, 0, 0, 0.9, 0.2], [1, 1, 0, 0.8, 0.7], [0, 1, 0, 0.1, 0.9]]
+    names = "\n".join(f"property float {name}" for name in "xyzuv")
+    rows = "\n".join(" ".join(map(str, row)) for row in points)
+    (tmp_path / "a.ply").write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 4\n{names}\nelement face 2\nproperty list uchar "
+        f"int vertex_indices\nend_header\n{rows}\n3 0 1 2\n3 0 2 3\n"
+    )
+    p, uv = (
+        " ".join(str(x) for row in points for x in row[part]) for part in (slice(3), slice(3, 5))
+    )
+    world = f"""LightSource "infinite" Translate 0 0 2
+    Texture "a" "spectrum" "imagemap" "string filename" "a.png"
+    Material "diffuse" "texture reflectance" "a" Shape "plymesh" "string filename" "a.ply"
+    Shape "trianglemesh" "point3 P" [{p}] "point2 uv" [{uv}] "integer indices" [0 1 2 0 2 3]"""
+    for axes in (SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"):
+        found = read(tmp_path, world, f'{axes} Camera "perspective" {FILM}').scene.surfaces
+        one, other = (surface.shape for surface in found)
+        for name in ("vertices", "uv"):
+            a, b = (np.asarray(getattr(m, name))[np.asarray(m.faces)] for m in (one, other))
+            order = [np.sort(x.reshape(2, -1), axis=1) for x in (a, b)]
+            np.testing.assert_allclose(*order, atol=1e-6)

@@ -66,3 +66,25 @@ def albedo(cosine, alpha, rho, *, eta=1.5, count=400_000, seed=0, most=None, sto
         escaped += int(out.sum())
         inside = int(returned.sum()) if stops else inside - int(out.sum())
     return escaped / count
+
+
+def metal_albedo(cosine, alpha, f0, *, eta=1.5, depth=0.0, count=400_000, seed=0):
+    """Share of the light at a cosine that GGX facets of Schlick's reflectance return through a
+    smooth coat. Light that facets stop is lost, as in a lobe of single scattering."""
+    rng = np.random.default_rng(seed)
+    escaped = rng.binomial(count, fresnel(cosine, eta))
+    sine = np.sqrt(1 - cosine**2) / eta
+    w = np.tile([sine, 0, np.sqrt(1 - sine**2)], (count - escaped, 1))
+    while len(w):
+        w = w[rng.random(len(w)) < np.exp(-depth / w[:, 2])]
+        h = visible_normals(w, alpha, rng)
+        c = np.sum(w * h, axis=1)
+        out = 2 * c[:, None] * h - w
+        slope = np.sum(out[:, :2] ** 2, axis=1) / np.maximum(out[:, 2] ** 2, 1e-30)
+        seen = 2 / (1 + np.sqrt(1 + alpha**2 * slope))
+        share = (f0 + (1 - f0) * (1 - c) ** 5) * seen * np.exp(-depth / np.maximum(out[:, 2], 1e-9))
+        out = out[(out[:, 2] > 0) & (rng.random(len(w)) < share)]
+        back = rng.random(len(out)) < fresnel(out[:, 2], 1 / eta)
+        escaped += int((~back).sum())
+        w = out[back] * [-1, -1, 1]
+    return escaped / count

@@ -379,6 +379,8 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
             return band_values(spectrum, bands, folder, quantity=quantity)
         if hint == Photometry:
             return read_luminaire(folder.file(value_of(reading, where, str, value)))
+        if hint is Material and isinstance(value, Mapping):
+            return material_of(reading, where, value)
         if hint == Picture and isinstance(value, np.ndarray):
             return value
         if hint in (Picture, Measured):
@@ -418,8 +420,9 @@ def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Mater
     values = _values(reading, where, keys, rest)
     if "albedo" in keys:
         albedo = values.pop("albedo", None)
-        if ("diffuse" in values) == (albedo is not None):
-            raise InputError("give either diffuse (sr^-1) or albedo (pi times it).")
+        if ("diffuse" in values) + (albedo is not None) + ("body" in values) != 1:
+            other = ", or a body" if "body" in keys else ""
+            raise InputError(f"give either diffuse (sr^-1) or albedo (pi times it){other}.")
         if albedo is not None:
             largest = np.asarray(albedo).max()
             if largest > 1:

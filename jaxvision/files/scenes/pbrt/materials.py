@@ -10,6 +10,7 @@ from ....core._warnings import warn
 from ..nodes import Colour, Named, Node, Table, plain
 from .spectra import mixed, numbers_of, pairs_of
 
+_LEAST_UNDER_COAT = 0.1  # alpha of metal, for a small error of `Coated`
 _SMOOTHEST = 1e-3  # alpha below which pbrt's facets are a mirror
 # Refractive indices of optical glasses at 587.6 nm, as their makers publish them
 _GLASSES = {
@@ -66,24 +67,9 @@ def _diffuse(node: Node) -> dict[str, Any]:
 
 
 def _coated_diffuse(node: Node) -> dict[str, Any]:
-    """Convert a Lambertian body under a coat. In pbrt a coat without scattering dims light by its
-    thickness, as an optical depth."""
-    roughness = _roughness(node)
-    if numbers_of(node, "albedo", 0.0) not in (0.0, [0.0, 0.0, 0.0]):
-        raise node.wrong("a coat that scatters (albedo above 0) is not read; set albedo to 0.")
-    node.take("g", float, 0.0)
-    if not node.take("twosided", bool, True):
-        raise node.wrong("twosided false is not read; remove it.")
-    made = {
-        "family": "coated",
-        "albedo": numbers_of(node, "reflectance", 0.5),
-        "eta": _index(node, "eta"),
-        "roughness": roughness,
-        "optical_depth": numbers_of(node, "thickness", 0.01),
-    }
+    made = _coat(node, "") | {"albedo": numbers_of(node, "reflectance", 0.5)}
     depth = node.take("maxdepth", int, 10)
-    node.take("nsamples", int, 1)
-    if isinstance(roughness, dict) or roughness >= _SMOOTHEST:
+    if isinstance(made["roughness"], dict) or made["roughness"] >= _SMOOTHEST:
         warn(
             f"{node.label}: a rough coat keeps the light that facets stop, where pbrt loses it: it "
             "is darker there, over a body of albedo 0.5 by 3 % at alpha 0.1, 9 % at 0.2 and 15 % "
@@ -100,8 +86,44 @@ def _coated_diffuse(node: Node) -> dict[str, Any]:
     return made
 
 
+def _coat(node: Node, prefix: str) -> dict[str, Any]:
+    """Return the keys of a coat. In pbrt a coat without scattering dims light by its thickness, as
+    an optical depth."""
+    if numbers_of(node, "albedo", 0.0) not in (0.0, [0.0, 0.0, 0.0]):
+        raise node.wrong("a coat that scatters (albedo above 0) is not read; set albedo to 0.")
+    node.take("g", float, 0.0)
+    node.take("nsamples", int, 1)
+    if not node.take("twosided", bool, True):
+        raise node.wrong("twosided false is not read; remove it.")
+    return {
+        "family": "coated",
+        "eta": _index(node, f"{prefix}eta"),
+        "roughness": _roughness(node, prefix),
+        "optical_depth": numbers_of(node, "thickness", 0.01),
+    }
+
+
+def _coated_conductor(node: Node) -> dict[str, Any]:
+    """Convert a metal under a coat, whose indices are relative to that of the coat."""
+    made = _coat(node, "interface.")
+    roughness = _roughness(node, "conductor.")
+    if isinstance(roughness, dict) or roughness < _LEAST_UNDER_COAT:
+        raise node.wrong(
+            f"metal under a coat is read with an alpha, the root of conductor.roughness, of at "
+            f"least {_LEAST_UNDER_COAT}; make it rougher."
+        )
+    node.take("maxdepth", int, 10)
+    warn(
+        f"{node.label}: light that facets of coat or metal stop is lost in pbrt, and walks in the "
+        "coat end after maxdepth events; here the coat loses no light."
+    )
+    metal = _metal(node, "conductor.", made["eta"])
+    body = {"family": "torrance_sparrow", "albedo": 0.0, "roughness": roughness, **metal}
+    return made | {"body": body}
+
+
 def _conductor(node: Node) -> dict[str, Any]:
-    roughness = _roughness(node)
+    roughness = _roughness(node, "")
     if roughness == 0 or (isinstance(roughness, float) and roughness < _SMOOTHEST):
         warn(
             f"{node.label}: smooth metal has facets of roughness {_SMOOTHEST:g} here, so that a "
@@ -112,38 +134,39 @@ def _conductor(node: Node) -> dict[str, Any]:
         "family": "torrance_sparrow",
         "albedo": 0.0,
         "roughness": roughness,
-        **_metal(node),
+        **_metal(node, "", 1.0),
     }
 
 
-def _metal(node: Node) -> dict[str, Any]:
-    """Return the keys of a metal's reflectance. pbrt describes a given reflectance by the index 1
-    and an extinction coefficient."""
+def _metal(node: Node, prefix: str, outside: float) -> dict[str, Any]:
+    """Return the keys of the reflectance of a metal in a medium of the index `outside`. pbrt
+    describes a given reflectance by the index 1 and an extinction coefficient."""
     kinds = (Table, Named, Colour, float)
-    given = {name: node.take(name, kinds) for name in ("eta", "k")}
+    given = {name: node.take(prefix + name, kinds) for name in ("eta", "k")}
     if "reflectance" in node.values or any(name == "reflectance" for name, _ in node.parts):
         r = numbers_of(node, "reflectance", 1.0)
         if isinstance(r, dict) or any(x is not None for x in given.values()):
             raise node.wrong("takes eta and k, or a reflectance that is a number or rgb.")
         r = np.minimum(r, 0.9999)
-        return {"eta": 1.0, "k": (2 * np.sqrt(r / (1 - r))).tolist()}
+        k = 2 * np.sqrt(r / (1 - r))
+        return {"eta": 1 / outside, "k": (k / outside).tolist()}
     for i, (name, x) in enumerate(given.items(), 1):
         if x is None or isinstance(x, Named):
             word = f"metal-Cu-{name}" if x is None else x.name
             metal = _METALS.get(word.removeprefix("metal-").removesuffix(f"-{name}"))
             if metal is None:
-                raise node.wrong(f"{name} of {word[:40]!r} is not known; give its pairs.")
+                raise node.wrong(f"{prefix}{name}: {word[:40]!r} is not known; give its pairs.")
             given[name] = Table(tuple(zip(metal[0], metal[i], strict=True)))
     if not any(isinstance(x, Table) for x in given.values()):
-        return {name: plain(x) for name, x in given.items()}
+        return {name: (np.array(plain(x)) / outside).tolist() for name, x in given.items()}
     if any(isinstance(x, Colour) for x in given.values()):
         raise node.wrong("eta and k are rgb and a table, which are not read; give two tables.")
     tables = [
-        pairs_of(node, name, x) if isinstance(x, Table) else np.array([[560.0], [x]])
+        pairs_of(node, prefix + name, x) if isinstance(x, Table) else np.array([[560.0], [x]])
         for name, x in given.items()
     ]
     nm = np.unique(np.concatenate([table[0] for table in tables]))
-    eta, k = (np.interp(nm, *table) for table in tables)
+    eta, k = (np.interp(nm, *table) / outside for table in tables)
     f0 = ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
     warn(
         f"{node.label}: a metal of tabulated eta and k has the colour of its reflectance at normal "
@@ -153,7 +176,7 @@ def _metal(node: Node) -> dict[str, Any]:
 
 
 def _dielectric(node: Node) -> dict[str, Any]:
-    roughness = _roughness(node)
+    roughness = _roughness(node, "")
     if isinstance(roughness, dict) or roughness >= _SMOOTHEST:
         raise node.wrong("rough glass is not read; set roughness to 0.")
     return {"family": "glass", "index": _index(node, "eta")}
@@ -177,11 +200,11 @@ def _mix(node: Node, named: Callable[[Node, str], Node]) -> dict[str, Any]:
     return tables[rough[0]] | made | {"specular": weights[rough[0]]}
 
 
-def _roughness(node: Node) -> Any:
+def _roughness(node: Node, prefix: str) -> Any:
     """Return alpha of the facets, which is the root of pbrt's roughness unless the file says
     otherwise."""
-    u, v = (numbers_of(node, f"{axis}roughness", np.nan) for axis in "uv")
-    both = numbers_of(node, "roughness", 0.0)
+    u, v = (numbers_of(node, f"{prefix}{axis}roughness", np.nan) for axis in "uv")
+    both = numbers_of(node, f"{prefix}roughness", 0.0)
     u, v = (both if x != x else x for x in (u, v))
     if u != v:
         raise node.wrong("uroughness and vroughness differ, which is not read; give one roughness.")
@@ -208,6 +231,7 @@ def _index(node: Node, name: str) -> float:
 _FAMILIES = {
     "diffuse": _diffuse,
     "coateddiffuse": _coated_diffuse,
+    "coatedconductor": _coated_conductor,
     "conductor": _conductor,
     "dielectric": _dielectric,
 }
