@@ -52,6 +52,10 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
         >>> print(f"{jv.colour_spaces.delta_e_2000(first, jnp.array([50.0, 0.0, -82.7485])):.4f}")
         2.0425
     """
+    dtype = jnp.result_type(lab, other)
+    if dtype.itemsize < 4:  # half precision is too small for products of a and b
+        wide = delta_e_2000(jnp.asarray(lab, jnp.float32), jnp.asarray(other, jnp.float32))
+        return wide.astype(dtype)
     l1, a1, b1 = parts(lab)
     l2, a2, b2 = parts(other)
     mean_chroma = (chroma_of(a1, b1) + chroma_of(a2, b2)) / 2

@@ -98,9 +98,13 @@ def closed_form_matte(
         )
     _check_numbers(image, trimap)
     _warn_of_no_effect(image, trimap, epsilon, confidence)
+    dtype = image.dtype
+    if dtype.itemsize < 4:  # half precision is too small for the windows' covariances
+        image, trimap = image.astype(jnp.float32), trimap.astype(jnp.float32)
     if tolerance is None:
         tolerance = _least_residual(image)
-    return _solve(image, trimap, epsilon, confidence, tolerance, max_steps)
+    matte = _solve(image, trimap, epsilon, confidence, tolerance, max_steps)
+    return Matte(matte.alpha.astype(dtype), matte.converged)
 
 
 def _least_residual(image: Array) -> float:

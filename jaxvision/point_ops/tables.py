@@ -43,7 +43,14 @@ def lookup_codes(
 
     Returns:
         (...) in the table's unit.
+
+    Raises:
+        ValueError: for values that are not whole numbers.
     """
+    if not jnp.issubdtype(codes.dtype, jnp.integer):
+        raise ValueError(
+            f"lookup_codes: codes must be integers, got {codes.dtype}; lookup takes relative values."
+        )
     return table[jnp.clip(codes, 0, table.shape[0] - 1)]
 
 

@@ -88,6 +88,9 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
     luminance = as_relative(luminance)
     if luminance.size == 0:
         raise ValueError(f"luminance must have at least one pixel, got shape {luminance.shape}.")
+    if luminance.dtype.itemsize < 4:  # half precision is too small for the sums
+        wide = scaled_to_key(luminance.astype(jnp.float32), key_value=key_value)
+        return wide.astype(luminance.dtype)
     _warn_of_black(luminance)
     known = jnp.isfinite(luminance)
     relative = luminance / magnitude(jnp.where(known, luminance, 0), axis=None)

@@ -219,3 +219,29 @@ def test_slopes_and_gaps_of_a_long_kernel(border):
     gap = np.isnan(filtered(np.where(np.arange(60)[:, None] == 30, np.nan, picture)))
     np.testing.assert_array_equal(gap.all(axis=1), abs(np.arange(60) - 30) <= 13)
     np.testing.assert_array_equal(gap.any(axis=1), abs(np.arange(60) - 30) <= 13)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_is_computed_in_float32(dtype):
+    """Products and sums that leave float16, or lose its digits, are those of float32."""
+    rng = np.random.default_rng(3)
+    lab = jnp.asarray(rng.uniform(-150, 150, (2, 50, 3)), dtype)
+    light = jnp.asarray(rng.uniform(0.01, 1, (6, 7, 3)), dtype)
+    trimap = np.broadcast_to([0, 0, 0.5, 0.5, 0.5, 1, 1], (6, 7))
+    for function in (
+        lambda x, _: jv.colour_spaces.delta_e_2000(*x),
+        lambda _, y: jv.point_ops.scaled_to_key(y[..., 0]),
+        lambda _, y: jv.matting.closed_form_matte(y, trimap).alpha,
+    ):
+        got = function(lab, light)
+        wide = function(lab.astype(jnp.float32), light.astype(jnp.float32))
+        assert got.dtype == dtype
+        np.testing.assert_array_equal(got, wide.astype(dtype))
+
+
+def test_a_table_of_codes_refuses_relative_values():
+    with pytest.raises(ValueError, match="codes must be integers, got float"):
+        jv.point_ops.lookup_codes(np.array([0.2, 0.4]), np.linspace(0, 1, 256))
+    np.testing.assert_allclose(
+        jv.point_ops.lookup_codes(np.array([0, 255]), np.arange(256.0)), [0, 255]
+    )
