@@ -49,7 +49,7 @@ def lookup_codes(
     """
     if not jnp.issubdtype(codes.dtype, jnp.integer):
         raise ValueError(
-            f"lookup_codes: codes must be integers, got {codes.dtype}; lookup takes relative values."
+            f"codes must be integers, got {codes.dtype}; lookup takes relative values."
         )
     return table[jnp.clip(codes, 0, table.shape[0] - 1)]
 

@@ -226,17 +226,22 @@ def test_half_precision_is_computed_in_float32(dtype):
     """Products and sums that leave float16, or lose its digits, are those of float32."""
     rng = np.random.default_rng(3)
     lab = jnp.asarray(rng.uniform(-150, 150, (2, 50, 3)), dtype)
-    light = jnp.asarray(rng.uniform(0.01, 1, (6, 7, 3)), dtype)
-    trimap = np.broadcast_to([0, 0, 0.5, 0.5, 0.5, 1, 1], (6, 7))
-    for function in (
-        lambda x, _: jv.colour_spaces.delta_e_2000(*x),
-        lambda _, y: jv.point_ops.scaled_to_key(y[..., 0]),
-        lambda _, y: jv.matting.closed_form_matte(y, trimap).alpha,
+    light = jnp.asarray(rng.uniform(0.01, 1, (6, 7)), dtype)
+    for function, given in (
+        (lambda x: jv.colour_spaces.delta_e_2000(*x), lab),
+        (jv.point_ops.scaled_to_key, light),
     ):
-        got = function(lab, light)
-        wide = function(lab.astype(jnp.float32), light.astype(jnp.float32))
+        got, wide = function(given), function(given.astype(jnp.float32))
         assert got.dtype == dtype
         np.testing.assert_array_equal(got, wide.astype(dtype))
+
+
+@pytest.mark.slow
+def test_a_matte_of_half_precision_is_that_of_float32():
+    light = np.random.default_rng(3).uniform(0.01, 1, (6, 7, 3)).astype(np.float16)
+    trimap = np.broadcast_to([0, 0, 0.5, 0.5, 0.5, 1, 1], (6, 7))
+    half, wide = (jv.matting.closed_form_matte(x, trimap) for x in (light, np.float32(light)))
+    np.testing.assert_array_equal(half.alpha, wide.alpha.astype(np.float16))
 
 
 def test_a_table_of_codes_refuses_relative_values():
