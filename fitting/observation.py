@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
 from jaxvision.core.plain_arrays import plain_array
@@ -24,6 +25,10 @@ Load = Callable[[Path], np.ndarray]  # an image by its path
 
 TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose header states the depth
 ROUNDING = 1e-9  # relative difference up to which two numbers count as equal
+MOST_LABELS = 16  # values of a mask of labels; masks with soft edges have more
+# share of blocks of 2 x 2 pixels in which sites of a mosaic differ alike; their least difference,
+# number, and level relative to the brightest
+SAME_SIGN, UNEQUAL_SITES, FEWEST_BLOCKS, DIM = 0.9, 0.04, 50, 0.2
 MEMORY = Path("arrays")  # folder that messages name for images in memory
 
 
@@ -290,6 +295,33 @@ def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
     return camera.channels(colour=any(length > len(camera.sites) for length in lengths))
 
 
+def pixels_of_mask(stored: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    """Return where a mask (h, w) or (h, w, channels) is true: where it is not 0, or above half of
+    its largest value if it has the many values of soft edges or of JPEG."""
+    values = np.nan_to_num(np.asarray(stored, float))
+    values = values.max(axis=-1) if values.ndim == 3 else values
+    soft = np.unique(values).size > MOST_LABELS
+    return values > values.max() / 2 if soft else values != 0
+
+
+def mosaic_contrast(picture: Float[np.ndarray, "h w"]) -> float:
+    """Return the relative difference of the sites of a 2 x 2 mosaic in a picture in DN above black,
+    if it has one sign in most of the picture; else 0. Pixels that do not count are NaN.
+    """
+    height, width = (2 * (length // 2) for length in picture.shape)
+    a, b, c, d = (picture[i:height:2, j:width:2] for i in (0, 1) for j in (0, 1))
+    largest = 0.0
+    for one, other in ((a + d, b + c), (a, d), (b, c)):
+        total = (one + other)[np.isfinite(one + other)]
+        if total.size < FEWEST_BLOCKS:
+            continue
+        lit = total > DIM * np.quantile(total, 0.95)
+        contrast = (one - other)[np.isfinite(one + other)][lit] / total[lit]
+        if max(np.mean(contrast > 0), np.mean(contrast < 0)) > SAME_SIGN:
+            largest = max(largest, 2 * abs(float(np.median(contrast))))
+    return largest if largest > UNEQUAL_SITES else 0.0
+
+
 def read_mask(
     path: Path,
     camera: Camera,
@@ -303,8 +335,7 @@ def read_mask(
         if (stored[..., -1] != stored[0, 0, -1]).any():
             raise InputError(f"{path}: has an alpha channel that varies; save the mask as grey.")
         stored = stored[..., :-1]
-    mask = stored.astype(bool)
-    mask = np.asarray(mask.any(axis=-1)) if mask.ndim == 3 else mask
+    mask = pixels_of_mask(stored)
     if shape is not None and mask.shape != shape:
         raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")
     return mask

@@ -29,7 +29,12 @@ from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_with_error
 from ..inference.given import plain_numbers, require_positive
-from ..observation import require_as_many, require_several_images
+from ..observation import (
+    mosaic_contrast,
+    pixels_of_mask,
+    require_as_many,
+    require_several_images,
+)
 from ..rig import SiteCamera
 from .file import Lights
 from .highlight import Highlight, highlight_of, reflected
@@ -161,8 +166,21 @@ def calibrate(
         for name, factor in zip(found.files, relative, strict=True)
         if not 1 / UNLIKE < factor < UNLIKE and np.isfinite(factor)
     )
+    inside = np.where(np.any(balls, axis=0), signals.mean(axis=0), np.nan)
+    if contrast := mosaic_contrast(inside):
+        sentences += (
+            f"Neighbouring pixels differ by {format_percent(contrast)} in a pattern of 2 x 2 "
+            "pixels, as in a raw colour mosaic. Its sites count as pixels of one colour, which "
+            "makes intensities wrong, and directions of a matte ball; give demosaiced images.",
+        )
     if focal_length is None:
         sentences += _lens_finding(found, lens.centre)
+    elif focal_length < max(width, height) / 2:
+        sentences += (
+            f"At a focal length of {focal_length:g} pixels the picture is "
+            f"{2 * np.degrees(np.arctan(max(width, height) / 2 / focal_length)):.0f} degrees wide. "
+            "If the number is in millimetres, divide it by the pixel pitch in millimetres.",
+        )
     return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings)})
 
 
@@ -194,14 +212,18 @@ def _lens_finding(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]
 
 def _grey(name: str, image: ArrayLike) -> Float[np.ndarray, "h w"]:
     pixels = np.asarray(plain_numbers(name, image), float)
-    if pixels.ndim not in (2, 3) or not np.isfinite(pixels).all():
-        raise InputError(f"{name}: holds {pixels.shape}; give (h, w) or (h, w, 3) finite numbers.")
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3)):
+        raise InputError(f"{name}: is {pixels.shape}; give (h, w) or (h, w, 3) numbers.")
+    if unknown := int(np.count_nonzero(~np.isfinite(pixels))):
+        raise InputError(
+            f"{name}: {unknown} of its {pixels.size} numbers are NaN or infinite; interpolate "
+            "these pixels in all images."
+        )
     return pixels if pixels.ndim == 2 else pixels.mean(axis=2)
 
 
 def _mask(name: str, mask: ArrayLike) -> Bool[np.ndarray, "h w"]:
-    stored = np.asarray(plain_array(name, mask))
-    return stored.astype(bool) if stored.ndim == 2 else np.asarray(stored.astype(bool).any(axis=-1))
+    return pixels_of_mask(np.asarray(plain_array(name, mask)))
 
 
 def _locate_by_highlights(

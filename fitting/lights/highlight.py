@@ -87,7 +87,8 @@ def highlight_of(
             raise InputError(
                 f"{name}: the ball has two highlights; the second has "
                 f"{format_percent(others.max() / fluxes[first])} of the light of the first; switch "
-                "other lamps off and cover windows, or mask the second."
+                "other lamps off and cover windows, or mask the second (in the mask of the ball, "
+                "or in all images, if it is a hot pixel)."
             )
         rows, columns = np.nonzero(pieces == first)
         weight = signal[rows, columns] - level

@@ -29,6 +29,7 @@ from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
 from ..inference.given import plain_numbers, require_covariance
+from ..observation import mosaic_contrast
 from .models import has_lobe, shape_of
 from .names import MODELS, Model
 from .stereo_axes import axes_findings
@@ -373,6 +374,7 @@ def photometric_stereo(
             *clipped,
             *scattered,
             *_copies(stack),
+            *_mosaic_finding(stack),
             *remarks,
             *findings,
             *axes_findings(normals, toward),
@@ -653,6 +655,14 @@ def _copies(stack: Images) -> tuple[str, ...]:
         "lights of which all but one are wrong or counted twice; keep one of them."
         for files in copies.equal_groups
     )
+
+
+def _mosaic_finding(stack: Images) -> tuple[str, ...]:
+    contrast = mosaic_contrast(stack.mean(axis=0))
+    return (
+        f"Neighbouring pixels differ by {format_percent(contrast)} in a pattern of 2 x 2 pixels, "
+        "as in a raw colour mosaic. The albedo includes this pattern; give one colour at a time.",
+    ) * bool(contrast)
 
 
 def _contradicted_images(

@@ -17,6 +17,7 @@ from fitting.lights import calibrate, read_lights, write_lights
 from fitting.lights.highlight import highlight_of, reflected
 from fitting.lights.outline import Lens, Outline
 from fitting.lights.section import section
+from fitting.observation import pixels_of_mask
 from fitting.reflectance import Camera, from_photographs, photometric_stereo
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.lights import marginalise_directions
@@ -175,6 +176,34 @@ def test_outlines_of_mask_and_shading_that_differ_and_a_view_without_lens_are_to
     assert "Through a lens of focal length f" in str(found)
 
 
+MOSAIC = np.tile([[0.5, 1.0], [1.0, 0.3]], (SIDE // 2, SIDE // 2))
+
+
+@pytest.mark.parametrize("kind", ["mirror", "matte"])
+def test_a_raw_colour_mosaic_is_named(kind):
+    images, mask, _, _ = simulated(kind, 2, off=0.0)
+    told = "as in a raw colour mosaic"
+    assert told not in str(calibrate(images[:5], [mask], camera=CAMERA, kind=kind))
+    raw = [64 + (image - 64) * MOSAIC for image in images[:5]]
+    assert told in str(calibrate(raw, [mask], camera=CAMERA, kind=kind))
+
+
+def test_a_focal_length_in_millimetres_is_named():
+    images, mask, _, _ = simulated("mirror", 2, off=0.0)
+    for focal, named in ((35.0, True), (400.0, False)):
+        found = calibrate(images[:3], [mask], camera=CAMERA, focal_length=focal)
+        assert ("divide it by the pixel pitch" in str(found)) == named
+
+
+def test_a_mask_with_soft_edges_or_of_jpeg_ends_at_half_of_its_largest_value():
+    distance = np.hypot(COLUMNS - 40, ROWS - 40)
+    ringing = np.random.default_rng(0).integers(0, 8, distance.shape)  # around the edge, in JPEG
+    soft = np.clip(255 * (RADIUS - distance) / 6 + 127.5, 0, 255).astype(int)
+    np.testing.assert_array_equal(pixels_of_mask(np.maximum(soft, ringing)), distance < RADIUS)
+    labels = (distance < RADIUS) + 4 * (distance < 10)
+    np.testing.assert_array_equal(pixels_of_mask(labels), distance < RADIUS)
+
+
 def test_an_outline_off_as_a_whole_turns_all_directions_alike():
     images, mask, truth, _ = simulated("mirror", 1, off=0.0)
     there = calibrate(images, [mask], camera=CAMERA)
@@ -279,7 +308,8 @@ TWICE = [np.maximum(IMAGES[0], IMAGES[1])]
         (IMAGES[:1], MASK[1:], {}, "need the same size"),
         ([4095 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "of the ball are saturated"),
         ([64 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "expose longer"),
-        ([IMAGES[0] * np.nan], MASK, {}, "finite numbers"),
+        ([IMAGES[0] * np.nan], MASK, {}, "6400 of its 6400 numbers are NaN or infinite"),
+        ([np.stack(3 * [IMAGES[0]])], MASK, {}, r"is \(3, 80, 80\); give"),
         (IMAGES[:1], MASK, {"kind": "glass"}, "kind must be one of mirror, matte, got 'glass'"),
         (IMAGES[:1], MASK, {"outline_sd": -1.0}, "outline_sd must be at least 0 and finite"),
         (IMAGES[:1], MASK, {"outline_sd": np.nan}, "outline_sd must be at least 0 and finite"),

@@ -745,3 +745,10 @@ def test_three_of_eight_images_of_a_quarter_of_the_exposure_are_left_out():
 def test_a_ball_that_looks_hollow_in_the_stated_axes_is_named(axes, viewer, named):
     found = photometric_stereo(photographs_of_a_ball(), EIGHT * axes, viewer=(0, 0, viewer))
     assert any("its normals point inward" in one for one in found.findings) == named
+
+
+def test_a_raw_colour_mosaic_is_named():
+    sites = np.tile([[0.5, 1.0], [1.0, 0.3]], (SIDE // 2, SIDE // 2))
+    images = photographs_of_a_ball()
+    assert not any("mosaic" in one for one in photometric_stereo(images, EIGHT).findings)
+    assert any("mosaic" in one for one in photometric_stereo(images * sites, EIGHT).findings)

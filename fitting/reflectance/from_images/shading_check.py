@@ -16,6 +16,8 @@ from scipy.special import ndtri
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
+from ...observation import mosaic_contrast
+from ...rig import COLOURS
 from .read import Photographs, lightless_images
 
 LIT = 0.1  # share of the brightest above which pixels are neither shadow nor background
@@ -98,7 +100,26 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
         *_copies_findings(observation),
         *_direction_findings(observation),
         *_ball_outline_findings(observation),
+        *_mosaic_findings(observation),
     ]
+
+
+def _mosaic_findings(observation: Photographs) -> list[str]:
+    """Report sites of a 2 x 2 mosaic that differ, in grey images or in one colour of a mosaic."""
+    if len(observation.channels) > 1:
+        return []
+    picture = np.full(observation.shape, np.nan)
+    mean = np.mean(observation.dn[0] - observation.black, axis=0)
+    picture[observation.rows, observation.columns] = mean
+    contrast = mosaic_contrast(picture)
+    (channel,) = observation.channels
+    what, why = "Neighbouring pixels", "as in a raw colour mosaic; give camera.pattern"
+    if channel in COLOURS:
+        what = f"Neighbouring {channel} pixels"
+        why = "so the mosaic has another phase than camera.pattern says; correct it"
+    return [
+        f"{what} differ by {format_percent(contrast)} in a pattern of 2 x 2 pixels, {why}."
+    ] * bool(contrast)
 
 
 def drop_strangers(observation: Photographs) -> Photographs:

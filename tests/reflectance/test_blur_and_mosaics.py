@@ -10,6 +10,7 @@ from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.perspective import AtOptimum
 from fitting.reflectance.from_images.pixel_area import area_share
 from fitting.reflectance.from_images.samples import View, cells_of, select
+from fitting.reflectance.from_images.shading_check import contradictions
 from fitting.reflectance.from_images.signal import Form
 from fitting.rig import Camera, SphereGeometry
 
@@ -45,6 +46,33 @@ def fitted(light):
     fit = fit_channel(View(seen, 0, chosen), form, cells_of(seen, chosen))
     assert fit.converged
     return AtOptimum(seen, fit.vector, fit.samples, chosen)
+
+
+SITES = {"R": 0.5, "G": 1.0, "B": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "stated", "named"),
+    [
+        ("RGGB", None, "give camera.pattern"),
+        ("RGGB", "RGGB", ""),
+        ("GRBG", "RGGB", "has another phase than camera.pattern says"),
+    ],
+)
+def test_mosaics_without_a_pattern_or_of_another_phase_are_named(pattern, stated, named):
+    """As from a camera whose pictures were cropped by a column."""
+    factors = np.array([SITES[colour] for colour in pattern]).reshape(2, 2)
+    images = BLACK + linear() * np.tile(factors, (SIDE // 2, SIDE // 2))
+    seen = reflectance.from_photographs(
+        list(np.round(images)),
+        LIGHTS,
+        camera=Camera(bits=12, black_level=BLACK, pattern=stated),
+        sphere=SphereGeometry(centre=((SIDE - 1) / 2,) * 2, radius=RADIUS),
+        channel="green" if stated else "",
+    )
+    told = [one for one in contradictions(seen) if "2 x 2 pixels" in one]
+    assert len(told) == bool(named)
+    assert all(named in one for one in told)
 
 
 def said(fit):
