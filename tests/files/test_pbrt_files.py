@@ -248,7 +248,7 @@ def test_amounts_of_light(tmp_path):
     LightSource "spot" "spectrum I" [400 7 700 7] "float power" 20 "float conedeltaangle" 30
     LightSource "distant" "spectrum L" "stdillum-A" "float illuminance" 300
     LightSource "infinite" "rgb L" [3 3 3] "float illuminance" 10
-    LightSource "point" "rgb I" [1 2 3] "float scale" 2
+    LightSource "point" "rgb I" [1 2 3] "float scale" 2 "point3 from" [0 0 1]
     AttributeBegin AreaLightSource "diffuse" "spectrum L" "lamp.spd" "float power" 9
     Translate 0 0 -9 {BALL}
     AreaLightSource "diffuse" "bool twosided" true "float power" 9
@@ -273,18 +273,44 @@ def test_amounts_of_light(tmp_path):
     assert (disc.two_sided, ball.two_sided) == (True, False)
 
 
-@pytest.mark.parametrize("axes", [SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"])
-def test_a_square_picture_of_the_sky_is_resampled(axes, tmp_path):
-    """Smooth radiance a + b . w of directions w, laid on the square by the map from the square to
-    the sphere; and the sun's pixel keeps its light."""
-    n, scale = 64, 2.0
+def on_the_square(n):
+    """(n, n, 3) the directions of the pixels of a square picture of the sphere, by the map from the
+    square to the sphere."""
     u, v = np.meshgrid((np.arange(n) + 0.5) / n * 2 - 1, (np.arange(n) + 0.5) / n * 2 - 1)
     d = 1 - (np.abs(u) + np.abs(v))
     r = 1 - np.abs(d)
     phi = np.where(r > 0, (np.abs(v) - np.abs(u)) / np.where(r > 0, r, 1) + 1, 1) * np.pi / 4
     side = r * np.sqrt(2 - r * r)
     w = [np.copysign(np.cos(phi), u) * side, np.copysign(np.sin(phi), v) * side]
-    w = np.stack([*w, np.copysign(1 - r * r, d)], axis=-1)
+    return np.stack([*w, np.copysign(1 - r * r, d)], axis=-1)
+
+
+@pytest.mark.parametrize("axes", [SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"])
+def test_a_goniometric_picture_is_that_of_its_lamp(axes, tmp_path):
+    """Intensity 2 + w . b of directions w, whose picture has the lamp's y axis as its own z axis;
+    the flux is its power."""
+    b = np.array([0.3, -0.5, 0.9])
+    picture = 2 + on_the_square(64) @ b
+    write_image(tmp_path / "lamp.exr", np.repeat(picture[..., None], 3, axis=2).astype(np.float32))
+    text = 'LightSource "goniometric" "string filename" "lamp.exr" "rgb I" [1 2 4]'
+    world = f'Translate 1 2 3 Rotate 90 0 0 1 {text} "float scale" 3 {text} "float power" 50 {BALL}'
+    found = read(tmp_path, world, f'{axes} Camera "perspective" {FILM}').scene
+    lamp, of_power = found.lights
+    x = 1 if axes == SAME_AXES else -1
+    np.testing.assert_allclose(lamp.position, [x, 2, 3], atol=1e-6)
+    for w in np.array([[0.6, 0.64, 0.48], [-0.8, 0, 0.6], [0, -0.6, -0.8]]):
+        seen = jv.incident(lamp, jnp.asarray(lamp.position) + 2 * jnp.asarray(w, jnp.float32))
+        own = np.array([w[1], -x * w[0], w[2]])  # turned back by 90 degrees
+        intensity = 3 * (2 + own[[0, 2, 1]] @ b)
+        np.testing.assert_allclose(seen.irradiance, intensity / 4 * np.array([1, 2, 4]), rtol=0.02)
+    np.testing.assert_allclose(jv.lights.flux(of_power), [50, 100, 200], rtol=5e-3)
+
+
+@pytest.mark.parametrize("axes", [SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"])
+def test_a_square_picture_of_the_sky_is_resampled(axes, tmp_path):
+    """Smooth radiance 2 + w of directions w; and the sun's pixel keeps its light."""
+    n, scale = 64, 2.0
+    w = on_the_square(n)
     picture = (2 + w).astype(np.float32)
     picture[40, 9, 0] += 500
     write_image(tmp_path / "sky.exr", picture)
@@ -426,6 +452,8 @@ def test_the_front_of_a_mesh_is_that_of_its_normals(tmp_path):
             f'NamedMaterial "m" {BALL}',
             "mixes a mixture",
         ),
+        ('LightSource "infinite" "point3 from" [0 0 1]', "'from' is not read"),
+        ('LightSource "goniometric"', "has no filename"),
         ('LightSource "projection" "string filename" "a.png"', "'projection' is not read"),
         (
             'LightSource "infinite" "point3 portal" [0 0 0 1 0 0 1 1 0 0 1 0]',

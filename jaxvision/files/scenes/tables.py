@@ -20,7 +20,7 @@ from ...core._kinds import Measured, Photometry, Picture, Table
 from ...core._types import POSITIVE, Colour, Range, members_of
 from ...core._warnings import one_call
 from ...errors import InputError
-from ...lights import kinds
+from ...lights import Luminaire, kinds
 from ...optics import look_at, opencv_view
 from ...scene import (
     Aperture,
@@ -377,6 +377,8 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
         if hint == Colour:
             spectrum = spectrum_of(reading, where, value)
             return band_values(spectrum, bands, folder, quantity=quantity)
+        if hint == Photometry and isinstance(value, Luminaire):
+            return value
         if hint == Photometry:
             return read_luminaire(folder.file(value_of(reading, where, str, value)))
         if hint is Material and isinstance(value, Mapping):

@@ -3,10 +3,10 @@ following parts are read.
 
 - Shapes: sphere and disk (whole), trianglemesh, bilinearmesh of flat patches, and plymesh, also in
   object instances.
-- Materials: diffuse, coateddiffuse, conductor, dielectric (smooth), and mix of diffuse materials
-  and at most one conductor; with normal maps.
+- Materials: diffuse, coateddiffuse, conductor, coatedconductor (rough), dielectric (smooth), mix of
+  diffuse materials and at most one conductor; with normal maps.
 - Textures: constant, scale, mix and imagemap.
-- Lights: point, distant, spot and infinite, and diffuse area lights.
+- Lights: point, distant, spot, goniometric and infinite, and diffuse area lights.
 - Cameras: perspective, also with a lens, and orthographic, with any screen window and crop.
 - Integrators: path, volpath, simplepath, bdpt, mlt and sppm, which are rendered by path tracing,
   and lightpath.
@@ -85,6 +85,7 @@ class _Reader:
         self._systems: dict[str, Affine] = {}
         self._textures: dict[str, Node] = {}
         self._materials: dict[str, Node] = {}
+        self._converted: dict[str, dict[str, Any]] = {}
         self._shapes: list[tuple[Node, _State]] = []
         self._objects: dict[str, list[tuple[Node, _State]]] = {}
         self._object: str | None = None  # the one that is being defined
@@ -214,12 +215,14 @@ class _Reader:
         if state.material is not None:
             known = state.material
             material = self._named(node, known) if isinstance(known, str) else known
-        table = material_of(material, self._named)
+        if material.label not in self._converted:
+            self._converted[material.label] = material_of(material, self._named)
+        table = dict(self._converted[material.label])
         normals = table.pop("normals", None)
         is_glass, two_sided = table["family"] == "glass", True
         made = {"name": node.label, **shape, "material": material.label}
-        if shape["shape"] == "sphere":
-            made["material"] += _place_maps(node, state.to_world, table, normals)
+        if shape["shape"] == "sphere" and _mirrors_maps(node, state.to_world, table, normals):
+            made["material"] += ", mirrored"
         if normals is not None:
             made["normals"] = normals
         if state.light is not None:
@@ -268,21 +271,21 @@ def _emission(light: Node, node: Node, shape: dict[str, Any]) -> tuple[list[floa
     return radiance, two_sided
 
 
-def _place_maps(
+def _mirrors_maps(
     node: Node, to_world: Affine, table: dict[str, Any], normals: dict[str, Any] | None
-) -> str:
-    """Turn the maps of a sphere if the world is mirrored, and return what the name of the material
-    then needs. A map of a sphere is about the world's z axis here."""
-    maps = [x for x in (*table.values(), normals) if isinstance(x, dict) and "map" in x]
+) -> bool:
+    """Turn the maps of a sphere in the table of its material if the world is mirrored, and return
+    whether it is. A map of a sphere is about the world's z axis here."""
+    maps = {key: x for key, x in table.items() if isinstance(x, dict) and "map" in x}
     linear = to_world[:3, :3] / np.linalg.norm(to_world[:3, 2])
-    if not maps or np.allclose(linear, np.eye(3), atol=1e-6):
-        return ""
+    if not (maps or normals) or np.allclose(linear, np.eye(3), atol=1e-6):
+        return False
     if not np.allclose(linear, np.diag([-1, 1, 1]), atol=1e-6) or normals is not None:
         raise node.wrong("is rotated, which its texture is not; give it as a mesh.")
-    for found in maps:  # phi becomes pi - phi
+    for key, found in maps.items():  # phi becomes pi - phi
         (a, b, c), second = found.get("uv", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        found["uv"] = [[-a, b, c + a / 2], second]
-    return ", mirrored"
+        table[key] = found | {"uv": [[-a, b, c + a / 2], second]}
+    return True
 
 
 def _render(sampler: Node, integrator: Node) -> dict[str, Any]:

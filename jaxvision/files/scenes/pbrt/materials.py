@@ -189,15 +189,15 @@ def _mix(node: Node, named: Callable[[Node, str], Node]) -> dict[str, Any]:
         raise node.wrong("needs two materials; name them.")
     share = node.take("amount", float, 0.5)
     tables = [material_of(named(node, name), named) for name in names]
-    weights = [1 - share, share]
     rough = [i for i in (0, 1) if tables[i]["family"] == "torrance_sparrow"]
     matt = [i for i in (0, 1) if tables[i]["family"] == "lambert"]
     if len(rough) > 1 or len(rough) + len(matt) < 2 or any("normals" in x for x in tables):
         raise node.wrong("is read of diffuse materials and at most one conductor; split the shape.")
-    made: dict[str, Any] = {"albedo": mixed(node, *(x["albedo"] for x in tables), share)}
+    first, second = (table["albedo"] for table in tables)
+    made: dict[str, Any] = {"albedo": mixed(node, first, second, share)}
     if not rough:
         return {"family": "lambert", **made}
-    return tables[rough[0]] | made | {"specular": weights[rough[0]]}
+    return tables[rough[0]] | made | {"specular": share if rough == [1] else 1 - share}
 
 
 def _roughness(node: Node, prefix: str) -> Any:

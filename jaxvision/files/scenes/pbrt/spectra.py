@@ -25,8 +25,12 @@ def light_of(node: Node, name: str) -> np.ndarray:
             nm, values = pairs_of(node, name, table)
             grid = nm * 1e-9
         case Blackbody(kelvin):
-            grid, values = _GRID, np.asarray(blackbody(jnp.asarray(_GRID), kelvin), float)
-        case Named(word):
+            grid, values = (
+                _GRID,
+                np.asarray(blackbody(jnp.asarray(_GRID), jnp.asarray(kelvin)), float),
+            )
+        case named:
+            word = named.name
             illuminant = _ILLUMINANTS.get(word.removeprefix("stdillum-"))
             if illuminant is None or not word.startswith("stdillum-"):
                 raise node.wrong(
@@ -116,7 +120,7 @@ def map_of(texture: Node) -> dict[str, Any]:
         raise texture.wrong("is read with the mapping uv and without invert; change it.")
     if texture.take("filter", str, "bilinear") == "point":
         raise texture.wrong("filter 'point' is not read; take bilinear.")
-    made = {"map": texture.filename(), "wrap": wrap}
+    made: dict[str, Any] = {"map": texture.filename(), "wrap": wrap}
     made["encoding"] = "linear" if encoding == "linear" else "srgb"
     (su, du), (sv, dv) = (
         (texture.take(f"{axis}scale", float, 1.0), texture.take(f"{axis}delta", float, 0.0))

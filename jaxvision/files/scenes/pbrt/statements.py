@@ -101,8 +101,7 @@ def _statements(text: str, file: str) -> Iterator[Statement]:
             value = float(bare)
         elif bare in ("true", "false"):
             value = bare == "true"
-        is_word = value is None and bare is not None and bare.isalpha() and opened is None
-        if is_word:
+        if value is None and bare is not None and bare.isalpha() and opened is None:
             if statement is not None:
                 yield statement
             place = f"{file}line {bisect(ends, token.start()) + 1}"
