@@ -112,6 +112,12 @@ def render_to_file(
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
+            lost = sum(int((~np.isfinite(block)).any(axis=-1).sum()) for block in rows())
+            if lost:
+                warn(
+                    f"{out}: {lost} pixels are infinite or NaN; reduce the power of the lamps, or "
+                    "set render.dtype = 'float64'."
+                )
             if not any((block != 0).any() for block in rows()):
                 warn(
                     f"{out}: every pixel is black: the camera sees no surface, or no light reaches "

@@ -2,6 +2,7 @@
 
 import json
 import re
+import warnings
 from functools import partial
 
 import jax
@@ -75,6 +76,26 @@ def test_a_black_picture_is_named(tmp_path):
     status, _, said = run(tmp_path / "away.toml", "--out", tmp_path / "a.exr")
     assert status == 0
     assert "every pixel is black: the camera sees no surface" in said
+
+
+@pytest.mark.filterwarnings("always:.*pixels are infinite")
+def test_infinite_pixels_are_named(tmp_path):
+    bright = SCENE.replace("[10, 20, 30]", "[3e38, 1, 1]").replace("[1, -2, 3]", "[0, -1.01, 0]")
+    (tmp_path / "bright.toml").write_text(bright)
+    status, _, said = run(tmp_path / "bright.toml", "--out", tmp_path / "a.exr")
+    assert status == 0
+    assert re.search(r"a.exr: \d+ pixels are infinite or NaN; reduce the power", said)
+
+
+def test_surfaces_that_coincide_are_named(tmp_path):
+    again = BALL[BALL.index("[[surface]]") : BALL.index("[[light]]")]
+    (tmp_path / "a.toml").write_text(BALL + again.replace("radius = 1", "radius = 1.5"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_scene(tmp_path / "a.toml")
+    (tmp_path / "a.toml").write_text(BALL + again)
+    with pytest.warns(UserWarning, match=r"surface\[2\]: lies exactly where surface\[1\] lies"):
+        read_scene(tmp_path / "a.toml")
 
 
 def test_the_preview_follows_its_rule(rendered):

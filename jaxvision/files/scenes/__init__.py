@@ -26,7 +26,7 @@ from ...core._warnings import warn
 from ...core.in_notebooks import record_html
 from ...errors import InputError, nearest
 from ...geometry.checks import coarse, invalid
-from ...rendering.scene_checks import lost_numbers, scene_problems
+from ...rendering.scene_checks import coincident_surfaces, lost_numbers, scene_problems
 from ...scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from ..gltf import SUFFIXES as GLTF
 from ..records import record_of
@@ -167,6 +167,8 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
     kept, kept_view = as_dtype((scene, view), dtype)
     _check_rounding(file, names, light_names, (scene, view), (kept, kept_view))
+    for hidden in coincident_surfaces(scene, names):
+        warn(f"{file}: {hidden}")
     for idle in ineffective_keys(content, entry):
         warn(f"{file}: {idle}.")
     read = SceneFile(
