@@ -26,6 +26,7 @@ from ..inference.precision import double_precision
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .counted import code_tables, dim_levels
+from .dark_pattern import dark_pattern_in_words
 from .doubts import doubts
 from .level_sums import LevelSums, ReducedLevel, Unlit
 from .levels import (
@@ -206,6 +207,8 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         stated=tuple((key, of, x, sd or 0.0) for key, of, x, sd in known_too if x is not None),
     )
     found = replace(found, doubts=doubts(found, of_flats, of_darks))
+    same = dark_pattern_in_words(found, of_flats, of_darks)
+    found = replace(found, remarks=(*found.remarks, *same))
     flats_used, darks_used = (
         [[one.name for one in shown] for shown in of] for of in (of_flats, of_darks)
     )
