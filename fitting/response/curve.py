@@ -405,6 +405,8 @@ def _end_errors(
     bent = np.zeros((2, len(g)))
     places = np.flatnonzero(seen)
     for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):
+        if noise[end] == 0:
+            continue
         off = np.abs(g - g[end]) / noise[end]
         further = seen & (off >= NEAR) & (off < 2 * NEAR)
         if further.any() and density[end] < np.median(density[further]) / 2:

@@ -36,6 +36,7 @@ APART_ERRORS = 3.0  # standard errors from which a deviation of one image is nam
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
 BLACKS = 0.01  # shutter error from which black points of single images are a possible cause
 LEAST_POWER = 0.01  # departure of the power between two colours from 1 that is reported
+ENCODED = 0.1  # difference of gamma from 1 from which pictures are encoded
 SAID = 0.1  # DN of shared rounding from which it is reported
 NOTABLE_RIPPLE = 0.5  # share of a curve's variance from which its ripple is reported
 
@@ -45,7 +46,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     channels = calibration.channels
     found = [*calibration.stack.remarks, _shape_in_words(channels), _untested_codes(channels)]
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
-    found += [_moved_in_words(channels), *_shutter_in_words(channels)]
+    found += [_moved_in_words(channels), *_shutter_in_words(channels), _local_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_clipping_sentences(channels), _hidden_in_words(channels)]
     found += [_busy_in_words(channels), _ripple_in_words(channels)]
@@ -319,6 +320,24 @@ def _moved_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"from what the others predict by more than {FAR:g} times the usual error, most of all "
         f"{channel.plane.files[place]}: something moved, or the light of a part of the scene "
         "changed (or edges were denoised differently). The radiance map is wrong there; mask it."
+    )
+
+
+def _local_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """Return a finding on what exposures of encoded pictures do not show: a factor of each place,
+    which changes with the exposure by a power."""
+    gammas = [channel.gamma.gamma for channel in channels]
+    encoded = any(
+        one.value is not None and abs(one.value - 1) > ENCODED + 3 * (one.standard_error or 0.0)
+        for one in gammas
+    )
+    if not encoded:
+        return ""
+    return (
+        "The curve is that of a pixel under all exposures. Tone mapping by the brightness of its "
+        "surroundings (HDR modes, active lighting, clarity) can change all pixels alike with the "
+        "exposure: gamma is then too high and the radiance map wrong between places, and the "
+        "images do not show it. Switch it off, or use raw images."
     )
 
 

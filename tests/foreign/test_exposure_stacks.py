@@ -29,6 +29,7 @@ from fitting.response.curve import ripple
 from fitting.response.findings import (
     _black_in_words,
     _colours_apart_in_words,
+    _local_in_words,
     _own_blacks_in_words,
     _shutter_in_words,
 )
@@ -917,3 +918,26 @@ def test_shot_noise_of_a_linear_stack_is_no_motion(moved):
         images.append(np.clip(np.round(electrons / 30), 0, 255).astype(np.uint8))
     told = calibrate(from_stack(images, times, camera=Camera(bits=8))).section.findings
     assert any("something moved" in one for one in told) == moved
+
+
+@pytest.mark.parametrize(("value", "said"), [(1.0, False), (1.12, False), (2.2, True)])
+def test_tone_mapping_by_the_surroundings_is_named_for_encoded_pictures(value, said):
+    one = SimpleNamespace(value=value, standard_error=0.01)
+    assert bool(_local_in_words([SimpleNamespace(gamma=SimpleNamespace(gamma=one))])) == said
+
+
+@pytest.mark.slow
+def test_tone_mapping_by_the_surroundings_shows_in_no_image():
+    """A power of the local mean makes gamma 2.2 look like 2.2 / (1 - strength) in each pixel."""
+    rng, strength = np.random.default_rng(0), 0.136
+    places = np.kron(rng.standard_normal((6, 8)), np.ones((10, 10)))
+    light = np.exp(0.4 * places) * ramp(60, 80, low=0.002, high=0.05)
+    images = []
+    for time in (1.0, 2.0, 4.0, 8.0):
+        local = np.exp(gaussian_filter(np.log(light * time), 8))
+        mapped = light * time * (local / 0.18) ** -strength
+        images.append(np.clip(np.round(255 * mapped ** (1 / 2.2)), 0, 255).astype(np.uint8))
+    found = calibrate(from_stack(images, [1.0, 2.0, 4.0, 8.0], camera=Camera(bits=8)))
+    gamma = found.channels[0].gamma.gamma
+    assert gamma.value == pytest.approx(2.2 / (1 - strength), rel=0.02)
+    assert "Tone mapping by the brightness of its surroundings" in " ".join(found.section.findings)
