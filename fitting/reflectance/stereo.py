@@ -10,12 +10,13 @@ lights g is estimated by least squares (Woodham, Optical Engineering 19, 1980). 
 shadows, clipped pixels and highlights are outliers of this model.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 from scipy.special import ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
@@ -33,6 +34,7 @@ from ..observation import mosaic_contrast
 from .models import has_lobe, shape_of
 from .names import MODELS, Model
 from .stereo_axes import axes_findings
+from .stereo_interreflection import exchange_of, side_of_facets
 from .stereo_lights import (
     EXPLAINED,
     FLAT,
@@ -79,6 +81,9 @@ RIVAL = 6  # least readings of a second set that agrees on another normal
 NOISY = 0.01  # of the readings: residuals from which wrong readings in most pixels are looked for
 VOTERS, LUCKY = 200, 0.1  # pixels that estimate their noise; share with enough right readings
 SCATTERED = 0.25  # of the readings: residuals from which readings hardly show the normal
+NOTICED = 0.5  # standard deviations by which interreflection rotates normals
+STILL = 0.1  # standard deviations of the last change of normals without interreflection
+MOST_ESTIMATES, MOST_ROUNDS = 4, 20  # with interreflection removed; rounds of each
 SPOILED = 2.0  # ratio of residuals to noise from which most pixels have wrong readings
 # lowest, highest, standard deviation of readings without light, and of all readings where most
 # pixels have wrong ones (infinite where they do not)
@@ -173,6 +178,8 @@ def photometric_stereo(
     model: Model = "lambert",
     materials: ArrayLike | None = None,
     viewer: ArrayLike = (0.0, 0.0, 1.0),
+    white: float | None = None,
+    white_sd: float = 0.0,
 ) -> Stereo:
     """Estimate normals, albedo and their errors from photographs of one still view under distant
     or near lights.
@@ -239,13 +246,15 @@ def photometric_stereo(
         glossy one and in 91 to 100 % of a rough one. With a `model`, departures are measured from
         this model, and the standard deviations include the errors of its parameters.
         Interreflection between parts of a surface has the effect of another normal and leaves
-        hardly any residual. Interreflection is not included, so that in a hollow the standard
-        deviations are lower bounds.
+        hardly any residual. With `white`, interreflection is computed from the normals and the
+        images and removed, in rounds until the normals no longer change. The standard deviations
+        then include the error of `white`, the last change, and the change from facets of twice the
+        size. Light from surfaces outside the images is not included.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, shapes that do not agree, and
             a `covariance` that is not finite, symmetric and positive semi-definite, and lights at
-            a point of the surface.
+            a point of the surface; for `white` with `points`, or with a viewer that is not z.
 
     Example:
         >>> import numpy as np
@@ -262,10 +271,45 @@ def photometric_stereo(
     stack = np.where(infinite, np.nan, stack)
     labels, toward = _checked_materials(stack, model, materials, viewer)
     together = None if covariance is None else _common_errors(covariance, len(stack))
-    readings = stack.reshape(len(stack), -1)
     clipped: tuple[str, ...] = ()
     if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
-        highest, clipped = top, (_clipped_finding(readings, top),)
+        highest, clipped = top, (_clipped_finding(stack.reshape(len(stack), -1), top),)
+    read = (*missing, *clipped, *_copies(stack), *_mosaic_finding(stack))
+
+    def estimate(images: Images) -> Stereo:
+        return _estimate(
+            images, rows, distances, together, lowest, highest, robust, model, labels, toward
+        )
+
+    if white is not None and not (0 < white < np.inf and 0 <= white_sd < np.inf):
+        raise InputError(f"white must be above 0, and white_sd at least 0: {white}, {white_sd}.")
+    found, more = estimate(stack), ()
+    if distances is None and abs(toward[2]) > 1 - 1e-6:
+        axes = np.array([1, *np.sign(toward[[2, 2]])])
+        scene = _Hollow(stack, rows, (stack > lowest) & (stack < highest), axes)
+        if white is None:
+            more = _interreflection_finding(found, scene)
+        else:
+            found, more = _without_interreflection(found, estimate, scene, white, white_sd)
+    elif white is not None:
+        raise InputError("white needs distant lights, and axes with z toward the camera.")
+    return replace(found, findings=read + found.findings + more)
+
+
+def _estimate(
+    stack: Images,
+    rows: Rows,
+    distances: np.ndarray | None,
+    together: np.ndarray | None,
+    lowest: float,
+    highest: float,
+    robust: bool,
+    model: Model,
+    labels: np.ndarray,
+    toward: np.ndarray,
+) -> Stereo:
+    """Estimate normals and albedo from readings that contain direct light only."""
+    readings = stack.reshape(len(stack), -1)
     between = (readings > lowest) & (readings < highest)
     noise, scattered = np.inf, ()
     if robust:
@@ -370,17 +414,136 @@ def photometric_stereo(
         counts.sum(axis=0).reshape(shape[1:]),
         misfit.reshape(shape[1:]),
         (
-            *missing,
-            *clipped,
             *scattered,
-            *_copies(stack),
-            *_mosaic_finding(stack),
             *remarks,
             *findings,
             *axes_findings(normals, toward),
         ),
         {} if surface is None else surface.numbers,
     )
+
+
+@dataclass(frozen=True)
+class _Hollow:
+    """Images of a surface whose parts light each other; normals in `axes` have x right, y up and z
+    to the camera."""
+
+    stack: Images
+    rows: Rows
+    between: Bool[np.ndarray, "lights h w"]
+    axes: Float[np.ndarray, "3"]
+
+    def added(self, g: np.ndarray, white: float, scale: int = 1) -> np.ndarray | None:
+        """Return the readings of interreflection on a surface of this g; None without a hollow."""
+        albedo = np.linalg.norm(g, axis=-1)
+        exchange = exchange_of(g / albedo[..., None] * self.axes, scale=scale)
+        if exchange is None:
+            return None
+        share = np.clip(np.nan_to_num(albedo / white), 0, 1)
+        return share * exchange.irradiance(np.nan_to_num(self.stack))
+
+    def change(self, g: np.ndarray, added: Images) -> np.ndarray:
+        """Return the change of g if `added` is in the readings, by least squares of lit ones."""
+        flat = g.reshape(-1, 3)
+        lit = self.between.reshape(len(self.stack), -1)
+        lit = lit & (np.nan_to_num(predicted(self.rows, flat)) > 0)
+        readings = added.reshape(len(added), -1)
+        return solved(self.rows, readings, lit.astype(float))[0].reshape(g.shape)
+
+    def share(self, added: Images) -> str:
+        lit = self.between & (self.stack > added)
+        return format_percent(np.median(added[lit] / self.stack[lit]) if lit.any() else 0.0)
+
+
+def _interreflection_finding(found: Stereo, scene: _Hollow) -> tuple[str, ...]:
+    """Return a sentence on the light that parts of a hollow send each other, if it matters."""
+    g = found.normals * found.albedo[..., None]
+    known = found.albedo[np.isfinite(found.albedo)]
+    added = scene.added(g, float(np.percentile(known, 99))) if known.size else None
+    if added is None:
+        return ()
+    turned = _rotation(g, g - scene.change(g, added))
+    errors = _middle(turned / np.nan_to_num(found.normal_sd, nan=SAME))
+    if not errors > NOTICED:
+        return ()
+    known_sd = np.isfinite(found.normal_sd).any()
+    size = f"{errors:.1f} standard deviations, " if known_sd else ""
+    return (
+        "The normals form a hollow, whose parts light each other. If its brightest pixels reflect "
+        f"all light, this adds {scene.share(added)} to the readings (median) and rotates normals "
+        f"by {np.degrees(_middle(turned)):.2g} degrees, {size}which the standard deviations do not "
+        "include; if they reflect half of it, about half as much. Give white, the albedo of a "
+        "surface that reflects all light, to remove this light.",
+    )
+
+
+def _without_interreflection(
+    first: Stereo,
+    estimate: Callable[[Images], Stereo],
+    scene: _Hollow,
+    white: float,
+    white_sd: float,
+) -> tuple[Stereo, tuple[str, ...]]:
+    """Remove the light that parts of the surface send each other. The shape of each round gives the
+    readings of the next, first by changes of least squares, then by whole estimates. The standard
+    deviations include the error of `white`, the last change, and the difference from facets of
+    twice the size."""
+    found, before = first, 0.0
+    g = found.normals * found.albedo[..., None]
+    for estimates in range(1, MOST_ESTIMATES + 1):
+        start, noise = g, np.nan_to_num(found.normal_sd, nan=SAME)
+        for _ in range(MOST_ROUNDS):
+            added = scene.added(g, white)
+            if added is None:
+                return found, ()
+            last, g = g, start - scene.change(start, added - before)
+            if not _middle(_rotation(last, g) / noise) >= STILL / 10:
+                break
+        found = estimate(np.where(scene.between, scene.stack - added, scene.stack))
+        last, g, before = g, found.normals * found.albedo[..., None], added
+        change = _middle(_rotation(last, g) / np.nan_to_num(found.normal_sd, nan=SAME))
+        if estimates > 1 and not change > STILL:
+            break
+    coarse = scene.added(g, white, scale=2)
+    by_grid = scene.change(g, added - (0 if coarse is None else coarse))
+    errors = np.stack([g - last, by_grid, scene.change(g, added) * (white_sd / white)])
+    along = (errors * found.normals).sum(axis=-1)
+    aside = np.square(errors).sum(axis=-1) - along**2
+    width = 2 * side_of_facets(found.albedo.shape) + 1  # grids differ somewhere near a fold
+    aside[1] = ndimage.maximum_filter(np.nan_to_num(aside[1]), width)
+    turned = _rotation(first.normals, found.normals)
+    said = (
+        f"The surface is a hollow, whose parts add {scene.share(added)} to the readings (median). "
+        "Without this light, normals are rotated by "
+        f"{np.degrees(_middle(turned)):.2g} degrees (median).",
+    )
+    if change > STILL:
+        said += (
+            f"The last round changed normals by {change:.1f} standard deviations, so the rounds "
+            "did not converge; the standard deviations include this change.",
+        )
+    if (above := float(np.mean(found.albedo > white))) > SMALL:
+        said += (
+            f"white = {white:.4g} is below the albedo of {format_percent(above)} of the pixels, "
+            "which would reflect more light than they receive; check white, and the intensities of "
+            "the lights.",
+        )
+    normal_sd = np.sqrt(found.normal_sd**2 + aside.sum(axis=0) / 2 / found.albedo**2)
+    albedo_sd = np.sqrt(found.albedo_sd**2 + (along**2).sum(axis=0))
+    return replace(found, normal_sd=normal_sd, albedo_sd=albedo_sd), said
+
+
+def _middle(values: np.ndarray) -> float:
+    """Return the median of the finite values; NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def _rotation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles between vectors, rad."""
+    size = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+    sine = np.linalg.norm(np.cross(first, second), axis=-1) / size
+    return np.arctan2(sine, (first * second).sum(axis=-1) / size)
 
 
 def _materials_finding(model: Model, surface: Surface) -> tuple[str, ...]:
@@ -641,8 +804,7 @@ def _misfit_finding(
         f"lights, the readings depart from {law} in the same way, by "
         f"{format_percent(np.nanmedian(misfit), decimals=1)} of the albedo (median over pixels). "
         "The standard deviations of normals include this and are "
-        f"{np.nanmedian(wider):.1f} times those of noise alone.{few} In a hollow, where "
-        "interreflection biases normals and leaves hardly any residual, they are lower bounds too."
+        f"{np.nanmedian(wider):.1f} times those of noise alone.{few}"
     )
 
 

@@ -19,6 +19,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 sys.path.extend(str(room) for room in Path(__file__).parents[1].glob("*/"))
 
 import test_from_edge as edge
+import test_interreflection as hollow
 import test_lights_calibration as balls
 import test_matting as matte
 import test_near_lights as near
@@ -177,7 +178,36 @@ def close(count: int = 10) -> None:
             row(kind, name, count, f"{np.mean(inside):.3f}", shares(z)[2], degrees)
 
 
-TABLES = {"lights": lamps, "edges": edges, "sensitivities": charts, "mattes": mattes, "near": close}
+def hollows(count: int = 1) -> None:
+    """Normals with and without the light that parts of a hollow send each other; `count` seeds."""
+    for scene, lowest in ((hollow.bowl, 0.5), (hollow.bowl, 0.1), (hollow.groove, 0.8)):
+        for albedo in (0.3, 0.6):
+            for white in (None, 1000 / albedo):
+                of_lights = [
+                    np.mean(
+                        [
+                            hollow.covered(scene, albedo, lights, lowest, white, seed)[:2]
+                            for seed in range(3, 3 + count)
+                        ],
+                        axis=0,
+                    )
+                    for lights in (8, 16, 24, 64)
+                ]
+                degrees = f"{np.degrees(np.arccos(lowest)):.0f}°"
+                kind = f"{scene.__name__} of albedo {albedo}"
+                shares_inside = [f"{inside:.3f}" for inside, _ in of_lights]
+                off = f"{of_lights[-1][1]:.2f}°"
+                row(kind, degrees, "as read" if white is None else "white", *shares_inside, off)
+
+
+TABLES = {
+    "lights": lamps,
+    "edges": edges,
+    "sensitivities": charts,
+    "mattes": mattes,
+    "near": close,
+    "hollows": hollows,
+}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])

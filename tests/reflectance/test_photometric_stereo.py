@@ -396,15 +396,6 @@ def near(lights, normals, distance):
     return distance**2 * np.maximum((toward * normals).sum(axis=-1), 0) / apart**3
 
 
-def hollow(lights, normals, albedo):
-    """The inside of a sphere to 60 degrees, where light thrown from wall to wall is the same
-    everywhere: albedo F / (1 - albedo F) of the mean, F = 1/4 being the cap's share of a sphere."""
-    wall = normals_within(60, 20_000)
-    share = albedo / 4 / (1 - albedo / 4)
-    inside = np.where(normals[:, 2] > 0.5, power(lights, normals, 1), np.nan)
-    return inside + share * power(lights, wall, 1).mean(axis=1)[:, None]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("lowest", [0.5, 0.1])
 @pytest.mark.parametrize(
@@ -418,22 +409,16 @@ def hollow(lights, normals, albedo):
         (torrance, 0.25, 0.9),
         (torrance, 0.4, 0.9),
         (near, 30.0, 0.9),
-        (hollow, 0.3, None),
     ],
 )
-def test_the_cone_covers_or_is_said_to_be_a_lower_bound(surface, shape, least, lowest):
+def test_the_cone_covers_whatever_the_surface(surface, shape, least, lowest):
     lights, normals = hemisphere(64, lowest), ball(30).reshape(-1, 3)
     readings = 1000 * np.nan_to_num(surface(lights, normals, shape))
     readings += np.random.default_rng(3).normal(0, 2, readings.shape)
     found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
     off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
-    known = np.isfinite(off) & (normals[:, 2] > 0.5 if surface is hollow else True)
-    inside = np.mean((off < 2.448 * found.normal_sd.ravel())[known])
-    if least is None and "face away from a light read" not in str(found):
-        assert inside < 0.2
-        assert "In a hollow" in str(found)
-    else:
-        assert inside > (least or 0.9)
+    inside = np.mean((off < 2.448 * found.normal_sd.ravel())[np.isfinite(off)])
+    assert inside > least
 
 
 def test_copies_are_named():
