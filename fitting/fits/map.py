@@ -155,7 +155,7 @@ class FitMap:
 
         numbers = list(self._numbers())
         rows = len(numbers) + 1
-        figure, axes = empty_panels((9, 3.2 * rows), rows, 2, squeeze=False)
+        figure, axes = empty_panels((9, 3.2 * rows), rows=rows, columns=2, squeeze=False)
         for row, (name, value, sd) in zip(axes, numbers, strict=False):
             unit = format_unit(self._unit(name))
             for axis, pixels, title in ((row[0], value, name), (row[1], sd, f"{name}: s.e.")):

@@ -71,7 +71,7 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])
-    figure, (upper, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.4))
+    figure, (upper, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.4))
     used = np.isin(np.arange(len(signal)), calibration.usable)
     drawable = (signal > 0) & (shot > 0)
     floor = shot[used & drawable].min() / 3
@@ -119,7 +119,7 @@ def responsivity_figure(calibration: NoiseCalibration) -> "Figure":
     light = np.asarray(measurement.bright.light)
     signal = signal_of(measurement)
     within = np.asarray(calibration.within.linearity)
-    figure, (upper, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.4))
+    figure, (upper, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.4))
     upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
     if calibration.likelihood is not None:
         x, moments, unlit = _model_curve(calibration, spacing="even")
@@ -190,7 +190,7 @@ def dark_signal_figure(calibration: NoiseCalibration) -> "Figure":
     exposure = 1e3 * np.asarray(dark.exposure)
     count = np.asarray(dark.pixels * dark.frames)
     mean, variance = np.asarray(dark.mean), np.asarray(dark.variance)
-    figure, (upper, lower) = empty_panels(SIZE, 2, 1, sharex=True)
+    figure, (upper, lower) = empty_panels(SIZE, rows=2, sharex=True)
     panels = (
         (upper, mean, np.sqrt(variance / count), "dark mean [DN]", "mean"),
         (lower, variance, dark.variance_error, "dark variance [DN²]", "variance"),

@@ -32,7 +32,7 @@ def colour_of(channel: str) -> str:
 
 
 def empty_panels(
-    size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any
+    size: tuple[float, float], *, rows: int = 1, columns: int = 1, **options: Any
 ) -> "tuple[Figure, Any]":
     """Return an empty figure of (width, height) in inches, with its axes as `Figure.subplots`
     returns them."""

@@ -79,7 +79,7 @@ def _draw_curve(axis: "Axes", channel: ChannelResponse, *, width: float) -> None
 def departure_figure(calibration: ResponseCalibration) -> "Figure":
     """Draw the deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
     shown = calibration.channels[: 4 * MOST_GROUPS]
-    figure, (left, right) = empty_panels((9, 3.6), 1, 2)
+    figure, (left, right) = empty_panels((9, 3.6), columns=2)
     for channel in shown:
         curve, colour = channel.curve, colour_of(channel.plane.channel)
         band = np.where(curve.seen, curve.half_width, np.nan)
@@ -136,7 +136,7 @@ def radiance_figure(
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
     figure, axes = empty_panels(
-        (5.2, 2 * len(shown) * (2.6 * tall + 0.3)), 2 * len(shown), 2, squeeze=False
+        (5.2, 2 * len(shown) * (2.6 * tall + 0.3)), rows=2 * len(shown), columns=2, squeeze=False
     )
     for i, (group, image) in enumerate(shown):
         single, seconds = _middle_exposure(calibration, group)
@@ -201,7 +201,9 @@ def _panels(
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
     width = 5.4 if columns == 1 else 4.4 * columns
-    figure, panels = empty_panels((width, height * rows + 0.4), rows, columns, squeeze=False)
+    figure, panels = empty_panels(
+        (width, height * rows + 0.4), rows=rows, columns=columns, squeeze=False
+    )
     axes = panels.ravel()
     for axis in axes[len(groups) :]:
         axis.set_axis_off()

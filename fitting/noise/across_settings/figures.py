@@ -71,7 +71,7 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
     proportion = proportional_gain(fit)
     assert proportion is not None
     scale = proportion[0]
-    figure, (upper, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.6))
+    figure, (upper, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.6))
     alone, log_gain, error = _separate_estimates(calibration, "system_gain")
     shared = np.exp(np.asarray(calibration.figures.log_gain))
     spread = np.sqrt(np.diagonal(fit.covariance))[np.asarray(fit.fit.problem.inputs["system_gain"])]
@@ -102,7 +102,7 @@ def read_noise_figure(calibration: CameraCalibration) -> "Figure":
     behind the amplifier)."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
-    figure, (axis, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.6))
+    figure, (axis, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.6))
     alone, log_value, error = _separate_estimates(calibration, "read_noise")
     best, draws = fit.fit.values, fit.fit.draws
     if "variance_before_gain" in best:
@@ -140,7 +140,7 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
     kelvin = np.array([setting.temperature or ZERO_CELSIUS for setting in fit.settings])
     known = np.isfinite(value)
     x = 1000 / kelvin
-    figure, (axis, lower) = empty_panels(SIZE, 2, sharex=True, height_ratios=(3, 1.6))
+    figure, (axis, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.6))
     floor = np.inf
     expected = np.asarray(calibration.figures.dark_current)
     best, draws = fit.fit.values, fit.fit.draws

@@ -195,7 +195,7 @@ def residual_figure(prediction: Prediction) -> "Figure":
     """Draw the residuals over the signal, with a panel for each quantity."""
     judged = prediction.main_comparison
     count = len(judged.agreement)
-    figure, panels = empty_panels((5.4, 1.5 + 1.3 * count), count, 1, sharex=True, squeeze=False)
+    figure, panels = empty_panels((5.4, 1.5 + 1.3 * count), rows=count, sharex=True, squeeze=False)
     panels = panels[:, 0]
     signal, lit = judged.found.signal, np.asarray(judged.lit.lit) > 0
     colours = (BLUE, ORANGE)

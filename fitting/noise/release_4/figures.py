@@ -172,7 +172,7 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
 
 def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
     """Draw the histograms, or the accumulated histograms, of deviations for DSNU and PRNU."""
-    figure, axes = empty_panels(SIZE, 2, 1)
+    figure, axes = empty_panels(SIZE, rows=2)
     for axis, (name, unit, image, steps) in zip(axes, defect_images(averages), strict=True):
         found = histogram(image, steps)
         if accumulated:
@@ -194,7 +194,7 @@ def spectrograms_figure(averages: Averages) -> "Figure":
     lower row, the horizontal direction on the left and the vertical on the right."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
-    figure, axes = empty_panels((7.2, SIZE[1]), 2, 2, sharex=True, sharey="row")
+    figure, axes = empty_panels((7.2, SIZE[1]), rows=2, columns=2, sharex=True, sharey="row")
     of_both = (("DSNU", "DN", unlit.image), ("PRNU", "%", 100 * response / response.mean()))
     for row, (name, unit, image) in zip(axes, of_both, strict=True):
         for axis, (along, direction) in zip(row, ((1, "horizontal"), (0, "vertical")), strict=True):
@@ -216,7 +216,7 @@ def profiles_figure(averages: Averages) -> "Figure":
     """Draw the profiles of clause 8.7 in DN, horizontal ones on the left and vertical ones on the
     right."""
     lit, unlit = averages.lit, averages.unlit
-    figure, axes = empty_panels((7.2, SIZE[1]), 2, 2, sharex="col", sharey="row")
+    figure, axes = empty_panels((7.2, SIZE[1]), rows=2, columns=2, sharex="col", sharey="row")
     for row, (name, image) in zip(
         axes, (("bright", lit.image - unlit.image), ("dark", unlit.image)), strict=True
     ):

@@ -37,7 +37,7 @@ def slices_figure(calibration: BRDFCalibration) -> "Figure":
     shown = np.unique(
         np.linspace(0, len(measured.incidences) - 1, SHOWN_INCIDENCES).round().astype(int)
     )
-    figure, axes = empty_panels((10.5, 7.4), 2, 2, squeeze=False)
+    figure, axes = empty_panels((10.5, 7.4), rows=2, columns=2, squeeze=False)
     axes = axes.flat
     for axis, incidence in zip(axes, shown, strict=False):
         _draw_slice(axis, calibration, int(incidence))
@@ -130,7 +130,7 @@ def errors_figure(calibration: BRDFCalibration) -> "Figure":
     order: list[Model] = sorted(
         MODELS, key=lambda m: -metric(calibration.held_out[m], calibration.objective)
     )
-    figure, (cosine, root) = empty_panels((10.5, 4.4), 1, 2, sharey=True)
+    figure, (cosine, root) = empty_panels((10.5, 4.4), columns=2, sharey=True)
     places = np.arange(len(order))
     colours = [AXIS_COLOURS[REFLECTANCES[m].axis] for m in order]
     shown = (
@@ -242,7 +242,7 @@ def amplitudes_figure(calibration: BRDFCalibration) -> "Figure":
     if has_lobe(model):
         unit = "" if row.unit == "1" else "sr$^{-1}$"
         terms.append(("k_s", found.specular, found.specular_error, unit))
-    figure, axes = empty_panels((5 * len(terms), 3.4), 1, len(terms), squeeze=False)
+    figure, axes = empty_panels((5 * len(terms), 3.4), columns=len(terms), squeeze=False)
     for axis, (symbol, values, error, unit) in zip(axes.flat, terms, strict=True):
         _draw_bands(axis, measured, values, error)
         name = f"${symbol[0]}_{symbol[2]}$"

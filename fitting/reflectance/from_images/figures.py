@@ -61,7 +61,9 @@ def draw_lights(
     if largest is None:
         worst = np.abs([left for _, _, left in columns.values()])
         largest = max(float(np.nanquantile(worst, 0.99)), 0.1)
-    figure, axes = empty_panels((1.2 + 2.2 * len(columns), 6.6), 3, len(columns), squeeze=False)
+    figure, axes = empty_panels(
+        (1.2 + 2.2 * len(columns), 6.6), rows=3, columns=len(columns), squeeze=False
+    )
     scale = TwoSlopeNorm(0, -largest, largest)
     for (light, (*pictures, left)), column in zip(columns.items(), axes.T, strict=True):
         for axis, values in zip(column, pictures, strict=False):
@@ -84,7 +86,7 @@ def draw_lights(
 def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
     """Draw the measured diffuse term, after subtraction of the fitted specular term, and the
     measured specular term, after subtraction of the fitted diffuse term."""
-    figure, (diffuse, specular) = empty_panels((10, 4.2), 1, 2)
+    figure, (diffuse, specular) = empty_panels((10, 4.2), columns=2)
     for fit in calibration.chosen_fits:
         _draw_terms(calibration, fit, diffuse, specular)
     diffuse.set(
