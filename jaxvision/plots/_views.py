@@ -73,7 +73,8 @@ def draw_picture(
 
 def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
     """Draw the number of pixels in equal bins of codes, of values, or, for a high dynamic range, of
-    log10 of the values. With log10, the axis label states the number of values at or below 0."""
+    log10 of the values. The axis label states the number of values that are not finite, and, with
+    log10, of values at or below 0."""
     bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]
@@ -91,7 +92,8 @@ def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequen
         width = max(1, int(np.ceil((max(high, white if white <= 255 else high) + 1) / BINS)))
         low, high = min(low, 0.0), min(low, 0.0) + width * BINS
     elif low == high:
-        low, high = low - 0.5, high + 0.5
+        half = max(0.5, 1e-3 * abs(low))  # 0.5 is lost in the rounding of large numbers
+        low, high = low - half, high + half
     counts, edges = _counts(values, (float(low), float(high)))
     # without alpha, whose full bins would squeeze the others
     light = counts[: colours_of(pixels).shape[-1]]
@@ -119,8 +121,11 @@ def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequen
     axis.set_xlim(edges[0], edges[-1])
     axis.locator_params(axis="x", nbins=6)  # more numbers would overlap if each has a minus sign
     label = f"log10 of the value ({unit})" if logarithmic else f"value ({unit})"
-    if logarithmic and (hidden := int((pixels <= 0).sum())):
-        label += f"\n{hidden:,} value{'s' * (hidden > 1)} at or below 0 not drawn"
+    hidden = int((pixels <= 0).sum()) if logarithmic else 0
+    lost = int((~np.isfinite(pixels)).sum())
+    for count, what in ((hidden, "at or below 0"), (lost, "not finite and")):
+        if count:
+            label += f"\n{count:,} value{'s' * (count > 1)} {what} not drawn"
     width = edges[1] - edges[0]
     axis.set(xlabel=label, ylabel=f"pixels per bin of {width:.3g}", title="histogram")
     axis.grid(alpha=0.3)

@@ -130,7 +130,8 @@ def curves(
         axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
-        The axes, with a legend of the names.
+        The axes, with a legend of the names. The label of x counts the points that a logarithmic
+        scale cannot show.
 
     Raises:
         InputError: for a curve that differs in length from its x, and for an unknown name.
@@ -144,7 +145,7 @@ def curves(
     unknown = {*dots, *dashed} - set(y)
     if unknown:
         raise InputError(f"{min(unknown)!r} is the name of no curve; correct it.")
-    axes = new_axes(axes)
+    axes, hidden = new_axes(axes), 0
     for i, (name, one) in enumerate(y.items()):
         along = x[name] if isinstance(x, Mapping) else x
         if np.shape(along) != np.shape(one) or np.ndim(one) != 1:
@@ -154,7 +155,12 @@ def curves(
         line = "" if name in dots else "--" if name in dashed else "-"
         colour, mark = SEVERAL[i % len(SEVERAL)], "." if name in dots else ""
         axes.plot(along, one, color=colour, ls=line, marker=mark, label=name)
-    axes.set(xlabel=names[0], ylabel=names[1], xscale=scales[0], yscale=scales[1], title=title)
+        pair = zip((along, one), scales, strict=True)
+        outside = [np.asarray(values) <= 0 for values, scale in pair if scale == "log"]
+        hidden += int(np.any(outside, axis=0).sum())
+    below = f"\n{hidden} point{'s' * (hidden > 1)} at or below 0 not drawn" if hidden else ""
+    axes.set(xlabel=names[0] + below, ylabel=names[1], title=title)
+    axes.set(xscale=scales[0], yscale=scales[1])
     axes.legend(fontsize=8)
     tidy(axes)
     return axes

@@ -93,7 +93,8 @@ def pictures(
     )
     for i, (title, shown) in enumerate(pixels.items()):
         axes = figure.add_subplot(down, across, i + 1)
-        low, high = limits or (0.0, float(np.nanmax(shown)) or 1.0)
+        brightest = float(np.max(shown, initial=0, where=np.isfinite(shown)))
+        low, high = limits or (0.0, brightest or 1.0)
         if shown.shape[2] == 3:
             axes.imshow(np.clip((shown - low) / (high - low), 0, 1))
         else:

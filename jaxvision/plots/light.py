@@ -135,12 +135,20 @@ def lobe(
     light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
     axes = new_axes(axes, polar=True)
     polar = axes.name == "polar"
-    for name, material in [*several.items(), *parts.items()]:
+    shown_ones = [*several.items(), *parts.items()]
+    for name, material in shown_ones:
         if is_delta(material):
             raise InputError(
                 f"{name or type(material).__name__} reflects into one direction, which is no lobe; "
                 "leave it out."
             )
+    counts = {
+        jax.eval_shape(_brdf_toward, material, light, light[None]).shape[1]
+        for _, material in shown_ones
+    }
+    if not 0 <= band < min(counts - {1}, default=1):
+        raise InputError(f"band {band} is outside those of the materials, {sorted(counts)}.")
+    for name, material in shown_ones:
 
         def reflect(angle: np.ndarray, material: Material = material) -> np.ndarray:
             viewers = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)

@@ -45,8 +45,33 @@ def test_a_logarithmic_histogram_says_what_it_leaves_out():
     assert "below" not in plots.histogram(values).get_xlabel()
     values[0, :3] = 0, -1, np.nan
     axes = plots.histogram(values)
-    assert axes.get_xlabel().endswith("\n2 values at or below 0 not drawn")
+    said = "\n2 values at or below 0 not drawn\n1 value not finite and not drawn"
+    assert axes.get_xlabel().endswith(said)
     assert axes.patches[0].get_data().values.sum() == 397
+
+
+def test_points_without_a_logarithm_are_counted():
+    x = np.arange(3.0)
+    y = {"a": x, "b": np.array([1.0, -1.0, 2.0])}
+    assert plots.curves(x, y, scales=("linear", "log")).get_xlabel() == (
+        "\n2 points at or below 0 not drawn"
+    )
+    assert plots.curves(x, y).get_xlabel() == ""
+
+
+def test_pictures_without_numbers_have_a_scale():
+    dark = np.array([[np.nan, 0.25], [np.inf, 0.5]])
+    figure = plots.pictures({"dark": dark, "none": np.full((2, 2), np.nan)}, limits=None)
+    shown = [image.get_clim() for axes in figure.axes for image in axes.images]
+    assert shown[:2] == [(0, 0.5), (0, 1)]
+
+
+def test_a_band_that_no_material_has_is_refused():
+    coloured = {"grey": jv.Lambert([0.3]), "red": jv.Lambert([0.3, 0.1, 0.1])}
+    assert plots.lobe(coloured, band=2).lines
+    for materials, band in ((coloured, 3), (jv.Lambert([0.3]), 1), (coloured, -1)):
+        with pytest.raises(InputError, match=f"band {band} is outside those"):
+            plots.lobe(materials, band=band)
 
 
 def test_a_histogram_counts_what_numpy_counts():
