@@ -12,10 +12,10 @@ from scipy.optimize import nnls
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects.angles import cos_seen
+from jaxvision.effects.angles import cos_seen, toward_eye
 from jaxvision.effects.blocking import is_convex, may_block
 from jaxvision.effects.bodies import body_of, gap, is_closed, stacked
-from jaxvision.effects.cells import cells_of, eye_of, visible_flags
+from jaxvision.effects.cells import Cells, Eye, cells_of, eye_of, visible_flags
 from jaxvision.effects.illumination import source_of
 from jaxvision.effects.stages import Ends
 from jaxvision.effects.umbra import hidden, shaded
@@ -25,6 +25,22 @@ WHOLE = 1e4  # weight of "the shares sum to 1" in least squares
 
 def twice(record):
     return Ends(record, record)
+
+
+def test_directions_to_an_eye_with_a_size_lie_within_their_cone():
+    """From any point of a ball to any point of a lens, and as far as a ray along both rims."""
+    rng = np.random.default_rng(0)
+    radius, away = np.array([0.1, 0.5, 0.0]), np.array([[3.0, 0, 0], [0, -2, 1], [1, 1, 1]])
+    cells = Cells(away, radius, np.eye(3), np.zeros(3), np.arange(3))
+    eye = Eye(np.zeros(3), 0.0, 0.4, np.eye(3), np.zeros((0, 3)), np.zeros(0), False, False)
+    toward, width = toward_eye(cells, eye)
+    apart = rng.normal(size=(3, 20_000, 3))
+    apart *= (radius + eye.size)[:, None, None] / np.linalg.norm(apart, axis=-1, keepdims=True)
+    rays = apart - away[:, None]
+    cosines = np.einsum("cnk,ck->cn", rays, toward) / np.linalg.norm(rays, axis=-1)
+    widest = np.arccos(cosines).max(axis=1)
+    assert (widest <= width).all()
+    assert (widest > 0.98 * width).all()
 
 
 def random_body(rng):

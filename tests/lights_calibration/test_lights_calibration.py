@@ -14,6 +14,7 @@ from fitting.checks.reflectance import directions
 from fitting.cli import app
 from fitting.joint import marginal
 from fitting.lights import calibrate, read_lights, write_lights
+from fitting.lights.file import Lights
 from fitting.lights.highlight import highlight_of, reflected
 from fitting.lights.outline import Lens, Outline
 from fitting.lights.section import section
@@ -237,6 +238,33 @@ def test_through_a_lens_the_outline_is_an_ellipse():
     assert off < 3 * np.degrees(found.place_sd[0]) < 1.5
     flat = calibrate([image], [mask], **given)
     assert np.degrees(np.arccos(flat.places[0] @ light)) > 5  # the view is not along -z
+    turned = [one[::-1, ::-1] for one in (image, mask)]  # about the middle of the picture
+    about = calibrate(turned[:1], turned[1:], focal_length=focal, **given)
+    np.testing.assert_allclose(about.places * [-1, -1, 1], found.places, atol=1e-5)
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_the_deviation_of_a_place_is_that_of_an_axis(near):
+    """A direction varies along two axes across it, a position along three."""
+    own = np.eye(3) if near else np.diag([1.0, 1.0, 0.0])
+    covariance = np.zeros((2, 4, 2, 4))
+    covariance[0, :3, 0, :3], covariance[1, :3, 1, :3] = 4 * own, 9 * own
+    places, none = np.array([[0.0, 0, 1]] * 2), np.zeros((0, 3))
+    lights = Lights(("a", "b"), places, np.ones(2), covariance, near, none, none, 0.0)
+    np.testing.assert_allclose(lights.place_sd, [2, 3])
+
+
+def test_a_highlight_stands_out_of_the_noise_of_its_ball():
+    """Ten standard deviations above the median are needed, by the median deviation."""
+    rng, middle = np.random.default_rng(0), ((SIDE - 1) / 2,) * 2
+    outline = Outline(np.array([*middle, RADIUS]), np.eye(3), 0.0, Lens(None, middle))
+    disc = np.hypot(COLUMNS - middle[0], ROWS - middle[1]) < RADIUS
+    spot = np.exp(-((COLUMNS - 40) ** 2 + (ROWS - 35) ** 2) / 8)
+    signal = 1000 + 100 * rng.normal(size=disc.shape)
+    found = highlight_of(signal + 2000 * spot, disc, 4000.0, outline, name="ball")
+    np.testing.assert_allclose(found.place, [40, 35], atol=0.5)
+    with pytest.raises(InputError, match="no highlight on the ball"):
+        highlight_of(signal + 500 * spot, disc, 4000.0, outline, name="ball")
 
 
 RADIUS_OF_TWO = 0.02  # m

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mpmath import mp
 
 from jaxvision.core._vector import Vec
 from jaxvision.transport.radiosity import (
@@ -151,6 +152,24 @@ def test_quadrature_over_one_polygon_states_its_error(other):
 def test_quadrature_needs_two_nodes():
     with pytest.raises(ValueError, match="order must be a whole number of at least 2, got 1"):
         polygon_to_polygon(polygon(UNIT_SQUARE), polygon(CEILING), order=1)
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (0.3, 2.0, 0.7), (3.0, 0.5, 0.2)])
+def test_slopes_of_facing_rectangles_are_those_of_the_catalogues_formula(sides):
+    """By each length, in 30 digits."""
+
+    def catalogue(width, height, gap):
+        x, y = width / gap, height / gap
+        r, s = mp.sqrt(1 + x * x), mp.sqrt(1 + y * y)
+        logs = mp.log(r * s / mp.sqrt(1 + x * x + y * y))
+        arcs = x * s * mp.atan(x / s) + y * r * mp.atan(y / r) - x * mp.atan(x) - y * mp.atan(y)
+        return 2 * (logs + arcs) / (mp.pi * x * y)
+
+    slopes = jax.grad(parallel_rectangles, (0, 1, 2))(*scalars(*sides))
+    with mp.workdps(30):
+        for order, slope in zip(np.eye(3, dtype=int).tolist(), slopes, strict=True):
+            expected = float(mp.diff(catalogue, [mp.mpf(x) for x in sides], tuple(order)))
+            np.testing.assert_allclose(slope, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
