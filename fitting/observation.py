@@ -176,7 +176,8 @@ def read_frame(
     if frame.max() > camera.full_scale:
         raise InputError(
             f"{path}: values from {frame.min():g} to {frame.max():g} do not fit "
-            f"{camera.bits} bits (0 to {camera.full_scale}); correct camera.bits."
+            f"{camera.bits} bits (0 to {camera.full_scale}); correct camera.bits "
+            "(of a command without a rig, --bits)."
         )
     return frame
 

@@ -410,8 +410,17 @@ def _add_defects_of_flat(sensor: Sensor, masters: Masters) -> Masters:
     noise = jnp.sqrt(read_out_variance(sensor, **of) / masters.flat.frames)
     dim = jnp.minimum(FAR * noise, DEAD * jnp.mean(flat, (-3, -2), keepdims=True))
     bad = jnp.any(_find_ended(sensor, masters.flat) | (flat <= jnp.maximum(dim, 0)), axis=-1)
-    if is_known(bad) and not bool(bad.any()):
-        return masters
+    if is_known(bad):
+        if not bool(bad.any()):
+            return masters
+        if bool(bad.all()):
+            dark = "the black level" if masters.dark is None else "masters.dark"
+            level = float(jnp.mean(masters.flat.mean))
+            raise ValueError(
+                f"correct: masters.flat, of {level:.4g} DN on average, shows no light above {dark} "
+                "in any pixel; give flats as the camera wrote them, neither divided by their mean "
+                "nor without the black level, and not in the place of the dark."
+            )
     return replace(masters, defects=bad if masters.defects is None else masters.defects | bad)
 
 

@@ -219,11 +219,26 @@ def test_missing_and_contradicting_files_are_refused(tmp_path):
     (folder / "02.png").unlink()
     with pytest.raises(InputError, match=r"02\.png: no such image"):
         read(folder)
-    write_image(folder / "02.png", np.zeros((SIZE, SIZE + 1), np.uint16))
-    with pytest.raises(InputError, match="same size"):
-        read(folder)
     write_image(folder / "02.png", np.zeros((SIZE, SIZE), np.uint8))
     with pytest.raises(InputError, match="8-bit data"):
+        read(folder)
+
+
+@pytest.mark.parametrize("damage", ["size", "cut", "text"])
+def test_an_image_that_cannot_be_read_is_named_and_left_out(tmp_path, damage):
+    folder = rig_folder(tmp_path)
+    whole, image = read(folder), folder / "02.png"
+    if damage == "size":  # a thumbnail
+        write_image(image, np.zeros((8, 8), np.uint16))
+    else:
+        image.write_bytes(image.read_bytes()[:200] if damage == "cut" else b"<html>404</html>")
+    seen = read(folder)
+    assert "02.png" not in seen.files
+    assert len(seen.files) == len(whole.files) - 1
+    assert seen.findings[0].startswith("02.png was left out: it")
+    for light in range(len(seen.files)):
+        (folder / seen.files[light]).write_bytes(b"no image")
+    with pytest.raises(InputError, match="not readable as an image"):
         read(folder)
 
 

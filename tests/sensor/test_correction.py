@@ -410,6 +410,16 @@ def test_masters_that_contradict_the_camera_are_told():
         js.correct(raw, sensor, masters=js.Masters(dark=js.Master(dark + 200, 8)))
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_flat_without_light_is_refused(swapped):
+    """A flat divided by its mean, or in the place of the dark, left NaN everywhere."""
+    shape = (SIDE, SIDE, 1)
+    dark, flat = (js.Master(jnp.full(shape, level), 8) for level in (SIMPLE.offset, 900.0))
+    flat, dark = (dark, flat) if swapped else (js.Master(jnp.ones(shape), 8), dark)
+    with pytest.raises(ValueError, match="shows no light above"):
+        js.correct(jnp.full(shape, 500.0), SIMPLE, masters=js.Masters(dark=dark, flat=flat))
+
+
 def test_the_mean_of_a_patch_with_saturated_pixels_is_said_to_be_too_low():
     raw = jnp.full((SIDE, SIDE, 1), 900.0).at[:6].set(2.0**14 - 1)
     found = js.correct(raw, replace(SIMPLE, bits=14))

@@ -8,6 +8,7 @@ direction is the same everywhere. Angles are in radians, and digital numbers are
 """
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,7 +29,7 @@ from jaxvision.files.images import JPEG_FORMATS, read_image
 from jaxvision.geometry import angle_between, mirror_direction
 from jaxvision.geometry.hemisphere import local_frame
 
-from ...frame_checks.frame import frame_sample, refuse_half
+from ...frame_checks.frame import OddFrames, frame_sample, refuse_half
 from ...frame_checks.heads import Stated, different_settings, odd_heads
 from ...frame_checks.levels import odd_frames
 from ...inference.diagnostics import listed
@@ -73,6 +74,7 @@ PURPOSE: Purpose = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # every fourth light is kept for testing if the rig names none
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
+FEWEST_READ = 3  # images that stay where others cannot be read
 DARK_ERRORS = 4.0  # standard errors of an image's median within which it is at the black level
 DARK_SHARE = 0.05  # share of the predicted signal below which an image is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
@@ -242,7 +244,9 @@ def read_reflectance_observation(
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; read one colour at "
             f"a time, by a channel of {', '.join(COLOURS)}."
         )
+    rig, load, unreadable = _drop_unreadable(rig, load)
     rig, remarks = _drop_odd_heads(rig)
+    remarks = [*unreadable, *remarks]
     assert rig.geometry is not None
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
@@ -375,6 +379,40 @@ def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float
     if len(values) > BELOW_TOP and several and counts[-1] > max(FEWEST_AT_TOP, most):
         return float(top), int(counts[-1])
     return None
+
+
+def _drop_unreadable(rig: Rig, load: Load) -> tuple[Rig, Load, list[str]]:
+    """Return the rig without the lights whose images cannot be read or have another size than the
+    others, a function that returns the images that were read, and the reasons. The rig is unchanged
+    if half of the lights, or all but two, would be left out.
+    """
+    stored: dict[Path, np.ndarray] = {}
+    odd: list[OddFrames] = []
+    for light in rig.light:
+        path = rig.path(light.file)
+        try:
+            stored[path] = load(path)
+        except InputError as error:
+            if not path.is_file():
+                raise
+            reason = str(error).removeprefix(f"{path}: ").removesuffix(".")
+            odd.append(OddFrames((light.file,), f"it cannot be read ({reason})"))
+    sizes = Counter(image.shape[:2] for image in stored.values())
+    size, count = sizes.most_common(1)[0] if sizes else ((), 0)
+    if count <= len(rig.light) / 2 or count < FEWEST_READ:
+        return rig, load, []
+    odd += [
+        OddFrames((light.file,), f"it is {image.shape[:2]}, the others {size}")
+        for light in rig.light
+        if (image := stored.get(rig.path(light.file))) is not None and image.shape[:2] != size
+    ]
+    gone = {name for one in odd for name in one.names}
+    kept = tuple(light for light in rig.light if light.file not in gone)
+
+    def read(path: Path) -> np.ndarray:
+        return stored[path] if path in stored else load(path)
+
+    return rig.model_copy(update={"light": kept}), read, [one.sentence for one in odd]
 
 
 def _drop_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
