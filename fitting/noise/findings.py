@@ -39,7 +39,8 @@ SAME_RATE = 0.01  # difference of light over exposure time, up to which light fo
 FEWEST_FOR_NOISE = 4  # levels in the lower half of the signal
 # Standard errors between the noise of darks and of flats without light, and least logarithm of
 # their ratio
-SURE_OF_NOISE, LEAST_RATIO_OF_NOISE = 5.0, 0.05
+SURE_OF_NOISE, LEAST_RATIO_OF_NOISE = 4.0, 0.05
+LOOSE_CHECK = 1.25  # factor on the darks' noise that would not show in the flats
 LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light is not reported
 
 
@@ -332,12 +333,23 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
 def _noise_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     """Return the dark noise of the darks and of the flats, extrapolated to no light; None if they
     agree."""
-    return _dark_noises(calibration.measurement, calibration.usable)
+    found = _dark_noises(calibration.measurement, calibration.usable)
+    return found if found is not None and found["differ"] else None
 
 
-def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> Numbers | None:
-    """Compare the noise of the darks with that of the flats without light. The variance of flats
-    less that of their darks is a parabola over signal, which without light is 0."""
+def _noise_unchecked(calibration: NoiseCalibration) -> Numbers | None:
+    """Return the least factor by which another noise of the darks would show in the flats; None if
+    it is small, or if another one shows."""
+    found = _dark_noises(calibration.measurement, calibration.usable)
+    if found is None or found["differ"] or found["factor"] < LOOSE_CHECK:
+        return None
+    return found
+
+
+def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, float] | None:
+    """Compare the noise of the darks with that of the flats without light; None where the levels do
+    not tell it. The variance of flats less that of their darks is a parabola over signal, which
+    without light is 0."""
     bright, dark = measurement.bright, measurement.dark
     signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
     low = signal < signal.max() / 2
@@ -354,10 +366,14 @@ def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> Numbers | N
     of_dark = np.median(np.asarray(dark.variance_error)) / np.sqrt(len(np.asarray(dark.mean)))
     own = float(np.median(np.asarray(dark.variance)))
     flats = own + float(found[0])
-    sure = abs(found[0]) > SURE_OF_NOISE * np.hypot(np.sqrt(covariance[0, 0]), of_dark)
-    if not sure or abs(np.log(max(flats, 1e-9) / own)) < 2 * LEAST_RATIO_OF_NOISE:
-        return None
-    return {"flats": np.sqrt(max(flats, 0.0)), "darks": np.sqrt(own)}
+    least = SURE_OF_NOISE * float(np.hypot(np.sqrt(covariance[0, 0]), of_dark))
+    ratio = abs(np.log(max(flats, 1e-9) / own))
+    return {
+        "flats": float(np.sqrt(max(flats, 0.0))),
+        "darks": float(np.sqrt(own)),
+        "factor": float(np.sqrt(1 + least / own)),
+        "differ": bool(abs(found[0]) > least and ratio > 2 * LEAST_RATIO_OF_NOISE),
+    }
 
 
 def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
@@ -814,6 +830,13 @@ FINDINGS = (
         "Without light the flats have {flats:.3g} DN of noise, and the darks {darks:.3g} DN, as "
         "darks of another gain, setting or camera have. Dark noise, read noise and DSNU are "
         "computed from the darks: take them at the setting of the flats.",
+    ),
+    Finding(
+        "noise of the darks unchecked",
+        _noise_unchecked,
+        "Dark noise and read noise are those of the darks. The flats confirm their noise of "
+        "{darks:.3g} DN only to within a factor of {factor:.2g}, so that darks of another gain or "
+        "read noise can pass. Take more frames of dim flats.",
     ),
     Finding(
         "dimmest level",

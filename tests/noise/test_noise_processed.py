@@ -325,6 +325,7 @@ def transfer(gain_of_darks, *, current=0.0, size=128, count=4, seed=0):
 def test_darks_of_another_gain_are_named_by_their_noise(ratio):
     made = transfer(ratio * GAIN, size=160)
     found = _dark_noises(made, linear_levels(made))
+    assert found["differ"]
     np.testing.assert_allclose(found["darks"], np.hypot(ratio * GAIN * READ, 12**-0.5), rtol=0.01)
     np.testing.assert_allclose(found["flats"], np.hypot(GAIN * READ, 12**-0.5), rtol=0.25)
 
@@ -332,7 +333,9 @@ def test_darks_of_another_gain_are_named_by_their_noise(ratio):
 def test_darks_of_the_same_camera_have_the_noise_of_its_flats():
     for seed in range(2):
         made = transfer(GAIN, size=64, seed=seed)
-        assert _dark_noises(made, linear_levels(made)) is None
+        found = _dark_noises(made, linear_levels(made))
+        assert not found["differ"]
+        assert 1.0 < found["factor"] < 2.0
 
 
 @pytest.mark.slow
