@@ -12,6 +12,7 @@ of the codes' probabilities are central differences.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +32,8 @@ BLACK, ELECTRONS = 40.0, (1.0, 6.0)
 GAINS = {0.2: 3.0, 0.5: 3.0, 1.0: 3.0, 5.0: 0.5}  # DN/e-, by read noise in e-
 HIDING = 2.0  # read noise, e-, above which a table without light is fitted, too
 CHUNK = 50  # fits at once
-NUMBERS = 200_000  # of each table
+NUMBERS = (200_000, 20_000)  # of each table
+FITS, SEED = 3000, 7  # of the page of coverage
 DIFFERENCE = 1e-4  # relative step of the derivatives
 REACH = 8.5  # half-width of the sum, in read noises
 
@@ -85,16 +87,18 @@ def information(
 
 
 @double_precision
-def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
-    """Simulate histograms of codes, fit them, and compare the variance of the estimates with the
-    Cramer-Rao bound."""
+def efficiency(
+    read_noise: float, simulations: int, *, numbers: int = NUMBERS[0], seed: int = 0
+) -> Efficiency:
+    """Simulate histograms of `numbers` codes, fit them, and compare the variance of the estimates
+    with the Cramer-Rao bound."""
     gain, dark = GAINS[read_noise], read_noise > HIDING
     truth = np.array([gain, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * gain * read_noise
     codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + gain * 26 + beyond))
     law = shares(truth, codes, dark=dark)
     rng = np.random.default_rng(seed)
-    drawn = np.stack([rng.multinomial(NUMBERS, p / p.sum(), simulations) for p in law])
+    drawn = np.stack([rng.multinomial(numbers, p / p.sum(), simulations) for p in law])
     sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=read_noise, gain=gain, offset=BLACK)
     free = {
         "sensor.gain": Parameter(transform="log"),
@@ -117,7 +121,7 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
     )
     there = np.isfinite(estimates).all(axis=0)
     missed = estimates[:, there] - truth[:, None]
-    bound = information(truth, codes, NUMBERS, dark=dark)
+    bound = information(truth, codes, numbers, dark=dark)
     # In logarithms, in which a constant product of gain and light is a straight line.
     scale = np.where(np.isin(NAMES, ["black"]), 1.0, truth)
     relative = np.log(estimates[:, there] / truth[:, None])
@@ -134,7 +138,7 @@ def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficie
 
 
 if __name__ == "__main__":
-    for noise in GAINS:
-        one = efficiency(noise, 500)
+    for noise, numbers in product(GAINS, NUMBERS):
+        one = efficiency(noise, FITS, numbers=numbers, seed=SEED)
         figures = " | ".join(f"{ratio:.3f}" for ratio in (*one.ratios, one.whole))
-        print(f"| {noise:g} | {one.fits} | {figures} |")
+        print(f"| {noise:g} | {numbers:,} | {one.fits} | {figures} |")
