@@ -22,6 +22,7 @@ from ..core._bounds import Ends, Reflection, least, most
 from ..core._numerics import or_one, safe_sqrt
 from ..core._types import (
     AMOUNT,
+    DIVISOR,
     POSITIVE,
     Colour,
     Scalar,
@@ -57,7 +58,7 @@ class Glass(Material):
     absorption: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self, index=AMOUNT, absorption=AMOUNT)
+        check_fields(self, index=DIVISOR, absorption=AMOUNT)
 
 
 @takes_numbers

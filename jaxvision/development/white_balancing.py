@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, or_one, power, smallest_divisor
-from ..core._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
+from ..core._types import Image, Range, Scalar, Spectrum, as_relative, check_range, print_by_name
 
 Gains = Float[Array, "*images bands"]
 Picture = Float[Array, "..."]
@@ -38,13 +38,14 @@ def white_balance(
         The image's shape and unit.
 
     Raises:
-        ValueError: for gains of another shape.
+        ValueError: for gains of another shape, and for gains below 0.
 
     Example:
         >>> picture, gains = jnp.array([[[0.25, 0.5, 0.5]]]), jnp.array([2.0, 1.0, 1.5])
         >>> jv.white_balance(picture, gains).ravel().tolist()
         [0.5, 0.5, 0.75]
     """
+    check_range("white_balance: gains", gains, 0, finite=False, nan=True)
     if image.ndim == 2 and gains.size == 1:
         return white_balance(image[..., None], gains.reshape(1), saturation=saturation)[..., 0]
     if (
@@ -101,13 +102,14 @@ def grey_world_gains(
     """Return the gains that make each image grey on average (the grey-world assumption).
 
     Args:
-        image: (..., h, w, bands) linear, DN or relative. Values below 0 count as 0.
+        image: (..., h, w, bands) linear, DN or relative. Values below 0 count as 0. Pixels with NaN
+            in a band are left out.
         norm: () no unit, at least 1: the p of the mean (mean x^p)^(1/p). 1 is grey world, 6 is
             shades of grey; in the limit of infinity the brightest value becomes white.
         saturation: () in the image's unit; pixels that reach it in any band are left out.
 
     Returns:
-        (..., bands) no unit.
+        (..., bands) no unit; NaN if every pixel has NaN in a band.
 
     Raises:
         ValueError: for a picture without pixels or of fewer than three axes, and a norm below 1.
@@ -127,17 +129,18 @@ def grey_world_gains(
         raise ValueError(
             f"image must be (..., h, w, bands) with at least one pixel, got shape {image.shape}."
         )
-    used = jnp.ones_like(image)
-    if saturation is not None:
-        used = jnp.broadcast_to((image < saturation).all(-1, keepdims=True), image.shape)
-        used = used.astype(image.dtype)
+    known = ~jnp.isnan(image).any(-1, keepdims=True)
+    used = known if saturation is None else known & (image < saturation).all(-1, keepdims=True)
+    used = jnp.broadcast_to(used, image.shape).astype(image.dtype)
+    image = jnp.where(known, image, 0)
     norm = jnp.asarray(norm, image.dtype)
     # powers of numbers up to 1 do not overflow, and the largest of a band does not vanish
     largest = jax.lax.stop_gradient(jnp.max(image * used, axis=(-3, -2)))
     scale = or_one(largest)
     raised = used * power(image / jnp.broadcast_to(scale[..., None, None, :], image.shape), norm)
     count = jnp.maximum(used.sum((-3, -2)), 1)
-    return _balancing(scale * power(raised.sum((-3, -2)) / count, 1 / norm))
+    means = scale * power(raised.sum((-3, -2)) / count, 1 / norm)
+    return _balancing(jnp.where(known.any((-3, -2)), means, jnp.nan))
 
 
 def _balancing(means: Gains) -> Gains:

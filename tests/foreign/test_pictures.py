@@ -250,3 +250,23 @@ def test_a_table_of_codes_refuses_relative_values():
     np.testing.assert_allclose(
         jv.point_ops.lookup_codes(np.array([0, 255]), np.arange(256.0)), [0, 255]
     )
+
+
+def test_a_dead_pixel_does_not_spoil_the_grey_world():
+    picture = np.random.default_rng(5).uniform(0.1, 1, (6, 7, 3))
+    dead = picture.copy()
+    dead[2, 3, 1] = np.nan
+    rest = np.delete(picture.reshape(-1, 3), 2 * 7 + 3, axis=0)[None]
+    for options in ({}, {"norm": 6.0}, {"saturation": 0.9}):
+        gains = jv.development.grey_world_gains(dead, **options)
+        np.testing.assert_allclose(
+            gains, jv.development.grey_world_gains(rest, **options), rtol=1e-6
+        )
+    assert np.isnan(jv.development.grey_world_gains(np.full((2, 2, 3), np.nan))).all()
+
+
+def test_gains_and_indices_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="white_balance: gains must be at least 0"):
+        jv.development.white_balance(np.ones((2, 2, 3)), np.array([-1.0, 1, 1]))
+    with pytest.raises(ValueError, match=r"Glass\.index must be .*above 0"):
+        jv.Glass(0.0)
