@@ -26,10 +26,13 @@ albedo of metal of reflectance 0.9 under a smooth coat of index 1.5, compared wi
     0.4                       0.3 %
     0.2                       1 %
     0.1                       3 %
+    0.04                      5 %
     (0.2, 0.4)                3 %
     (0.1, 0.3)                4 %
     (0.05, 0.4)               4 %
     (0.02, 0.2)               6 %
+
+The quadrature of `albedo` does not resolve sharper lobes.
 
 In the local frame the normal is +z."""
 

@@ -3,8 +3,8 @@ following parts are read.
 
 - Shapes: sphere and disk (whole), trianglemesh, bilinearmesh of flat patches, and plymesh, also in
   object instances.
-- Materials: diffuse, coateddiffuse, conductor, coatedconductor (rough), dielectric (smooth), mix of
-  diffuse materials and at most one conductor; with normal maps.
+- Materials: diffuse, coateddiffuse, conductor, coatedconductor (rough), dielectric (smooth),
+  measured, and mix of diffuse materials and at most one conductor; with normal maps.
 - Textures: constant, scale, mix and imagemap.
 - Lights: point, distant, spot, goniometric and infinite, and diffuse area lights.
 - Cameras: perspective, also with a lens, and orthographic, with any screen window and crop.
@@ -203,6 +203,8 @@ class _Reader:
             blur = f"pbrt's {kernel.kind[:40]} filter blurs beyond it."
             warn(f"{kernel.label}: pixels are means over their area; {blur}")
         for node, state in self._shapes:
+            if state.light and mirrors(state.to_world) and node.kind in ("sphere", "disk"):
+                warn(f"{node.label}: is mirrored, which does not turn its light here.")
             own = replace(state, to_world=world @ state.to_world)
             content["surface"].append(self._surface(node, own, content["material"]))
         return content

@@ -10,7 +10,7 @@ from ....core._warnings import warn
 from ..nodes import Colour, Named, Node, Table, plain
 from .spectra import mixed, numbers_of, pairs_of
 
-_LEAST_UNDER_COAT = 0.1  # alpha of metal, for a small error of `Coated`
+_LEAST_UNDER_COAT = 0.04  # alpha of metal, for a small error of `Coated`
 _SMOOTHEST = 1e-3  # alpha below which pbrt's facets are a mirror
 # Refractive indices of optical glasses at 587.6 nm, as their makers publish them
 _GLASSES = {
@@ -234,4 +234,5 @@ _FAMILIES = {
     "coatedconductor": _coated_conductor,
     "conductor": _conductor,
     "dielectric": _dielectric,
+    "measured": lambda node: {"family": "measured", "file": node.filename()},
 }
