@@ -280,6 +280,14 @@ def test_symmetry_follows_from_the_span_of_azimuths(tmp_path):
         assert files.read_rgl(path).symmetry == symmetry
 
 
+@pytest.mark.parametrize("span", [2.618, 1.75 * np.pi, 0.45 * np.pi])
+def test_azimuths_that_end_too_early_are_named(span, tmp_path):
+    """A sixth of the half turn is missing, or the last of eight azimuths, which closes the turn."""
+    fields = rgl_fields(np.random.default_rng(3), phi=np.linspace(0, span, 4))
+    path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
+    refused(files.read_rgl, path, "phi_i", f"spans {span:.4g}"[:9], "neither a turn nor")
+
+
 def test_unscaled_values_are_taken_as_they_are(tmp_path):
     fields = rgl_fields(np.random.default_rng(3)) | {"jacobian": np.array([0], np.uint8)}
     fields["rgb"] = np.full_like(fields["rgb"], 0.25)

@@ -171,7 +171,8 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
             "[-2 pi, 2 pi] rad and span one turn at most; convert degrees to radians."
         )
     symmetry = 1 if len(phi) <= 2 else round(2 * np.pi / span)
-    if symmetry not in (1, 2, 4):
+    whole = len(phi) <= 2 or abs(span * symmetry / (2 * np.pi) - 1) < 1e-3
+    if symmetry not in (1, 2, 4) or not whole:
         turn = "which is neither a turn nor a half nor a quarter of one"
         raise _damage_error(file, "phi_i", f"spans {span:g} rad, {turn}")
     for name in ("ndf", "sigma", "vndf", "luminance"):
