@@ -181,6 +181,7 @@ def test_planck_in_many_digits(dtype, temperature):
             assert 0 <= float(value) < 1e-29
 
 
+@pytest.mark.slow
 def test_planck_as_colour_science():
     """With the constants of the ITS-90, as there."""
     ours = spectra.blackbody(GRID, jnp.asarray(5000.0))

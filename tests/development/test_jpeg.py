@@ -79,6 +79,7 @@ def test_not_one_level_from_libjpeg(name, subsampling, compressed):
         np.testing.assert_array_equal(levels(ours), truth, err_msg=f"quality {quality}")
 
 
+@pytest.mark.slow
 def test_the_same_levels_in_double_precision(compressed):
     codes = PICTURES["photograph"]()
     ours = compressed(relative(codes, jnp.float64), jnp.asarray(60.0))
@@ -104,6 +105,7 @@ def test_pictures_of_few_columns(shape, compressed):
     np.testing.assert_array_equal(levels(compressed(relative(codes), jnp.float32(99))), truth)
 
 
+@pytest.mark.slow
 def test_opencv_reads_the_same(compressed):
     cv2 = pytest.importorskip("cv2")
     codes = PICTURES["photograph"]()

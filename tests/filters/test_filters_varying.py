@@ -205,6 +205,7 @@ def test_matrix_is_traced_and_differentiated_by_its_kernel():
     np.testing.assert_allclose(got, jax.grad(by_filter)(jnp.asarray(KERNEL)), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_scipy_solves_with_the_operator():
     """A deblurring by conjugate gradients: the operator and its transpose, no matrix."""
     from scipy.sparse.linalg import lsqr

@@ -121,6 +121,7 @@ def test_errors_of_positions_and_powers_are_propagated():
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())
 
 
+@pytest.mark.slow
 def test_a_rough_surface_near_its_lights():
     points, normals = (a[::2, ::2] for a in surface("ball"))
     known = np.isfinite(points).all(axis=-1)

@@ -155,6 +155,7 @@ def test_exact_counts_reach_every_whole_number():
     assert np.abs(shares - 1 / 8).max() < 5 * np.sqrt(7 / 64 / drawn.size)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
 def test_more_electrons_than_counts_are_right_for(kind):
     """Refused where known, NaN where traced, and full where the well is full in any case."""
