@@ -17,25 +17,31 @@ def relative_rms(result: Any, reference: Any) -> float:
 
     Args:
         result: any shape and unit.
-        reference: the same shape and unit.
+        reference: the same unit, and the same shape or one that spreads over it.
 
     Returns:
         sqrt(mean (result - reference)^2 / mean reference^2), no unit.
 
     Raises:
-        InputError: for a reference of zeros, because an error cannot be divided by 0.
+        InputError: for a reference of zeros, because an error cannot be divided by 0, and for
+            another shape.
 
     Example:
         >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")
         0.0707
     """
-    exact = np.asarray(reference, np.float64)
+    exact, found = np.asarray(reference, np.float64), np.asarray(result, np.float64)
+    if not (found.size and spreads_over(exact.shape, found.shape)):
+        raise InputError(
+            f"the result has shape {found.shape} and the reference {exact.shape}; give both one "
+            "shape, or one number as the reference."
+        )
     size = rms(exact)
     if size == 0:
         raise InputError(
             "the reference is 0 everywhere, so that no error is relative to it; add light."
         )
-    return rms(np.asarray(result, np.float64) - exact) / size
+    return rms(found - exact) / size
 
 
 def rms(values: np.ndarray) -> float:

@@ -620,3 +620,13 @@ def test_relative_rms_and_empty_sweeps():
 def test_no_error_is_a_share_of_nothing():
     with pytest.raises(InputError, match="reference is 0"):
         relative_rms(np.ones(3), np.zeros(3))
+
+
+def test_a_reference_of_another_shape_is_refused():
+    """Broadcasting (4, 4, 1) and (4, 4) would compare every pixel with others of its row."""
+    picture = np.arange(16.0).reshape(4, 4)
+    assert relative_rms(picture, picture) == 0
+    assert relative_rms(np.array([1.0, 3.0]), 2.0) == 0.5
+    for result, reference in ((picture[..., None], picture), (picture[0], picture), ([], [])):
+        with pytest.raises(InputError, match="give both one shape"):
+            relative_rms(result, reference)
