@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
-from urllib.parse import unquote
+from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 
@@ -260,10 +260,14 @@ def _value(table: Mapping[Any, Value], key: Any) -> Value | None:
 
 
 def _bytes_at(path: Path, uri: str) -> bytes:
-    """Return the bytes of a URI: a file relative to the glTF, or data in base 64."""
+    """Return the bytes of a URI: a file relative to the glTF, or data, in base 64 or with escapes
+    (RFC 2397)."""
     if uri.startswith("data:"):
+        head, _, text = uri.partition(",")
+        if not head.endswith(";base64"):
+            return unquote_to_bytes(text)
         try:
-            return base64.b64decode(uri.partition("base64,")[2], validate=True)
+            return base64.b64decode(text, validate=True)
         except binascii.Error as error:
             raise unlike(path, "a buffer is not in base 64") from error
     beside = path.parent / unquote(uri)

@@ -3,12 +3,14 @@ not read is refused by name."""
 
 import json
 import warnings
+from base64 import b64decode
 from dataclasses import replace
+from urllib.parse import quote_from_bytes
 
 import numpy as np
 import pytest
 import trimesh
-from gltf_contents import content, matt
+from gltf_contents import CORNERS, content, matt
 
 import jaxvision as jv
 from jaxvision.errors import InputError
@@ -340,3 +342,12 @@ def test_what_a_mesh_of_gltf_drops_is_named(change, said, tmp_path):
     change(made)
     with pytest.warns(UserWarning, match=f"not used: {said}"):
         assert len(mesh_of(tmp_path, made).faces) == 2
+
+
+def test_data_without_base_64_are_read(tmp_path):
+    made = content()
+    stored = b64decode(made["buffers"][0]["uri"].partition(",")[2])
+    made["buffers"][0]["uri"] = "data:application/octet-stream," + quote_from_bytes(stored)
+    (tmp_path / "a.gltf").write_text(json.dumps(made))
+    mesh = read_mesh(tmp_path / "a.gltf", primitive=(0, 0))
+    np.testing.assert_array_equal(mesh.vertices, CORNERS)
