@@ -35,8 +35,7 @@ def _lit_levels(levels: ComparedLevels) -> list[int]:
 
 def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
     assert levels.black is not None
-    means = [np.median([frame.mean for frame in levels.frames[i]]) for i in there]
-    return np.maximum(np.array(means) - levels.black[there], 1e-9)
+    return np.maximum(levels.means(there) - levels.black[there], 1e-9)
 
 
 def dark_levels(levels: ComparedLevels) -> None:
@@ -55,7 +54,7 @@ def dark_levels(levels: ComparedLevels) -> None:
         exposure = levels.light[there]
         if len(there) < FEWEST_DARKS or len(np.unique(exposure)) < FEWEST_DARKS - 1:
             return
-        means = np.array([np.median([frame.mean for frame in levels.frames[i]]) for i in there])
+        means = levels.means(there)
         away, scatter = np.zeros(len(there)), np.zeros(len(there))
         for i in range(len(there)):
             rest = np.arange(len(there)) != i
@@ -67,13 +66,12 @@ def dark_levels(levels: ComparedLevels) -> None:
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 1:
             return
-        frames = levels.frames[there[worst]]
         reason = (
             f"the mean is {means[worst]:.5g} DN, where a line over exposure through the other "
             f"darks gives {means[worst] - away[worst]:.5g} DN, as if light fell in or their "
             "exposure was another one"
         )
-        levels.remove(there[worst], range(len(frames)), reason)
+        levels.remove(there[worst], reason)
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
@@ -87,15 +85,14 @@ def light_of_levels(levels: ComparedLevels) -> None:
     signal, light = _signals(levels, there), levels.light[there]
     predicted = float(np.median(signal / light)) * light
     noise = np.maximum(levels.noise[there], 1 / np.sqrt(12))
+    means = levels.means(there)
     for place in np.flatnonzero((signal < HALF * noise) & (predicted > SURE * noise)):
-        frames = levels.frames[there[place]]
-        mean = float(np.median([frame.mean for frame in frames]))
         reason = (
-            f"the mean is {mean:.5g} DN, {levels.black[there[place]]:.5g} DN without light, where "
-            f"the other levels predict a signal of {predicted[place]:.3g} DN, as if the lamp was "
-            "off or the shutter closed"
+            f"the mean is {means[place]:.5g} DN, {levels.black[there[place]]:.5g} DN without "
+            f"light, where the other levels predict a signal of {predicted[place]:.3g} DN, as if "
+            "the lamp was off or the shutter closed"
         )
-        levels.remove(there[place], range(len(frames)), reason)
+        levels.remove(there[place], reason)
     there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return
@@ -126,7 +123,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
                 f"; its values are multiples of {step}, those of other levels are not, as if they "
                 "were multiplied or left-aligned (the upper bits of a wider number)"
             )
-        levels.remove(there[place], range(len(frames)), reason)
+        levels.remove(there[place], reason)
     _stated_wrongly(levels)
 
 
@@ -158,13 +155,12 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 1:
             return
-        frames = levels.frames[there[worst]]
         factor = rates[worst] / max(rates[worst] - away[worst], 1e-9)
         reason = (
             f"the signal is {factor:.3g} times what a curve through the other levels predicts, "
             "so its exposure time (or its light) is not the stated one"
         )
-        levels.remove(there[worst], range(len(frames)), reason)
+        levels.remove(there[worst], reason)
 
 
 def _unsaturated_levels(levels: ComparedLevels) -> list[int]:
@@ -252,12 +248,11 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 1:
             return
-        frames = levels.frames[there[worst]]
         reason = (
             f"the distribution of light over the frame differs from all other levels by "
             f"{100 * size[worst]:.2g} % rms, as with a shadow or something in front of the sensor"
         )
-        levels.remove(there[worst], range(len(frames)), reason)
+        levels.remove(there[worst], reason)
 
 
 def noise_of_levels(levels: ComparedLevels) -> None:
@@ -278,7 +273,6 @@ def noise_of_levels(levels: ComparedLevels) -> None:
         more = "if the camera moved or its gain changed"
         levels.remove(
             there[place],
-            range(len(levels.frames[there[place]])),
             f"the variance of their difference is {ratio:.2g} times that of neighbouring levels "
             f"at the same signal, as {less if ratio < 1 else more}",
         )

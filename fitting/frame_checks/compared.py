@@ -70,6 +70,10 @@ class ComparedLevels:
             self._pixel_noise[known] = float(np.sqrt(least / 2))
         return self._pixel_noise[known]
 
+    def means(self, levels: Sequence[int]) -> Float[np.ndarray, " levels"]:
+        """Return the median over frames of their means, DN, at some levels that have frames."""
+        return np.array([np.median([frame.mean for frame in self.frames[i]]) for i in levels])
+
     def sample_size(self, level: int) -> int:
         """Return the number of pixels in a frame's sample."""
         return max((frame.sample.size for frame in self.frames[level]), default=0)
@@ -85,7 +89,7 @@ class ComparedLevels:
         flats, the noise for darks."""
         if self.black is None:
             return float(max(self.noise[level], 0.1))
-        middle = np.median([frame.mean for frame in self.frames[level]])
+        middle = self.means([level])[0]
         return float(max(abs(middle - self.black[level]), 1e-9))
 
     def floor(self, level: int) -> float:
@@ -120,7 +124,7 @@ class ComparedLevels:
         if len(others) < 2:
             return None
         light = self.light[others]
-        means = np.array([np.median([frame.mean for frame in self.frames[i]]) for i in others])
+        means = self.means(others)
         order = np.argsort(light, kind="stable")
         if self.black is None:
             return float(np.interp(self.light[level], light[order], means[order]))
@@ -128,20 +132,19 @@ class ComparedLevels:
         rate = np.interp(self.light[level], light[order], rates[order])
         return float(self.black[level] + rate * self.light[level])
 
-    def remove(self, level: int, places: Sequence[int], reason: str) -> None:
-        """Remove the frames at `places` in a level, and record the reason."""
-        names = tuple(self.frames[level][i].name for i in places)
-        self.odd.append(OddFrames(names, reason))
-        self.frames[level] = [
-            one for i, one in enumerate(self.frames[level]) if i not in set(places)
-        ]
+    def remove(self, level: int, reason: str, places: Sequence[int] | None = None) -> None:
+        """Remove the frames at `places` in a level (None: all), and record the reason."""
+        frames = self.frames[level]
+        gone = range(len(frames)) if places is None else places
+        self.odd.append(OddFrames(tuple(frames[i].name for i in gone), reason))
+        self.frames[level] = [one for i, one in enumerate(frames) if i not in gone]
 
     def drop_single_frames(self) -> None:
         """Remove levels with only one frame left, because a single frame gives no temporal
         variance."""
         for level, frames in enumerate(self.frames):
             if len(frames) == 1:
-                self.remove(level, [0], ALONE)
+                self.remove(level, ALONE)
 
 
 def _noise_of_levels(

@@ -110,7 +110,7 @@ def _copies(levels: ComparedLevels) -> None:
             copies.add(frame.name, frame.sample)
         for first, *again in copies.equal_groups:
             places = [i for i, one in enumerate(levels.frames[level]) if one.name in again]
-            levels.remove(level, places, f"equal to {first} in every pixel, as a copy is")
+            levels.remove(level, f"equal to {first} in every pixel, as a copy is", places)
 
 
 def _copies_across(levels: ComparedLevels) -> None:
@@ -139,7 +139,7 @@ def _copies_across(levels: ComparedLevels) -> None:
         for level, frames in enumerate(levels.frames):
             places = [i for i, frame in enumerate(frames) if frame.name in names]
             if places:
-                levels.remove(level, places, COPIED.format(listed(names)))
+                levels.remove(level, COPIED.format(listed(names)), places)
     levels.drop_single_frames()
 
 
@@ -182,12 +182,12 @@ def _take(
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"
-        levels.remove(level, range(len(frames)), parted)
+        levels.remove(level, parted)
     elif far.any():
         for i in np.flatnonzero(far):
             rest = [one for j, one in enumerate(frames) if not far[j]]
             place = levels.frames[level].index(frames[i])
-            levels.remove(level, [place], in_words([frames[i]], rest))
+            levels.remove(level, in_words([frames[i]], rest), [place])
 
 
 def _mean_in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:

@@ -316,11 +316,16 @@ def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | Non
     }
 
 
+def _has_offset(calibration: NoiseCalibration) -> bool:
+    """Whether a light offset is significant, and a linear camera alone explains nothing."""
+    offset = _light_offset(True, calibration) or _light_offset(False, calibration)
+    return bool(offset and _linear(False, calibration))
+
+
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     """Return the numbers for the finding that the light offset may be a difference in black level
     between darks and flats. The difference in DN is the light offset times the responsivity."""
-    shifted = _light_offset(True, calibration) or _light_offset(False, calibration)
-    if not shifted or not _linear(False, calibration):
+    if not _has_offset(calibration):
         return None
     offset, _ = _value_and_error(calibration, "light_offset")
     measurement, usable = calibration.measurement, calibration.usable
@@ -390,13 +395,6 @@ def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
     rate = np.polyfit(times, np.asarray(dark.mean), 1)[0]
     share = float(rate * np.median(lit / signal_of(measurement)[usable]))
     return {"share": format_percent(share)} if share > LEAST_DARK_SIGNAL else None
-
-
-def _dimmest_offset(calibration: NoiseCalibration) -> bool:
-    offset = _light_offset(True, calibration) or _light_offset(False, calibration)
-    if not offset or not _linear(False, calibration):
-        return False
-    return _dimmest_alone(calibration.measurement, calibration.usable)
 
 
 def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
@@ -613,18 +611,26 @@ def _bounds_alone(calibration: NoiseCalibration) -> bool:
     )
 
 
+def _significant(rows_and_columns: Iterable[Found]) -> Iterable[tuple[str, Found]]:
+    """Yield the significant ones of the noises or differences of rows and of columns, by name."""
+    named = zip(LINES, rows_and_columns, strict=True)
+    return ((name, one) for name, one in named if one.is_significant)
+
+
 def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
     """Return the numbers for findings on temporal noise that rows or columns of the darks share, in
     electrons."""
-    dark, scale, found = calibration.measurement.dark, calibration.gain, []
+    dark, scale = calibration.measurement.dark, 1 / calibration.gain
     whole = float(np.mean(np.asarray(dark.variance)))
-    for axis, name in enumerate(LINES):
-        one = temporal_lines(dark, axis)
-        if one.is_significant:
-            rest = float(np.sqrt(max(whole - one.variance, 0)))
-            read = {"read": np.sqrt(whole) / scale, "rest": rest / scale}
-            found.append({"lines": name, "size": _format_lines(one, 1 / scale), **read})
-    return found
+    return [
+        {
+            "lines": name,
+            "size": _format_lines(one, scale),
+            "read": np.sqrt(whole) * scale,
+            "rest": np.sqrt(max(whole - one.variance, 0)) * scale,
+        }
+        for name, one in _significant(temporal_lines(dark, axis) for axis in range(len(LINES)))
+    ]
 
 
 def _banding(calibration: NoiseCalibration) -> list[Numbers]:
@@ -633,8 +639,7 @@ def _banding(calibration: NoiseCalibration) -> list[Numbers]:
     kind, scale = "" if _glow(calibration) else "banding, ", 1 / calibration.gain
     return [
         {"lines": name, "size": _format_lines(one, scale), "kind": kind}
-        for one, name in zip(unequal_offsets(calibration.measurement.dark), LINES, strict=True)
-        if one.is_significant
+        for name, one in _significant(unequal_offsets(calibration.measurement.dark))
     ]
 
 
@@ -665,11 +670,7 @@ def _unequal_gains(calibration: NoiseCalibration) -> list[Numbers]:
     if calibration.patterns is None:
         return []
     found = unequal_gains(calibration.measurement, calibration.usable)
-    return [
-        {"lines": name, "size": _format_lines(one, 100)}
-        for one, name in zip(found, LINES, strict=True)
-        if one.is_significant
-    ]
+    return [{"lines": name, "size": _format_lines(one, 100)} for name, one in _significant(found)]
 
 
 def _pattern_misfit(calibration: NoiseCalibration) -> Numbers | None:
@@ -840,7 +841,7 @@ FINDINGS = (
     ),
     Finding(
         "dimmest level",
-        _dimmest_offset,
+        lambda c: _has_offset(c) and _dimmest_alone(c.measurement, c.usable),
         "Only the dimmest level shows this offset: instead, its light or its exposure time may be "
         "wrong.",
     ),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..plots.legible_axes import BLUE, PURPLE, RED, few_ticks, name_points
+from ..plots.legible_axes import BLUE, PURPLE, RED, few_ticks, name_points, new_axes, tidy
 from .records import Curve, Trial
 
 if TYPE_CHECKING:
@@ -38,10 +38,7 @@ def plot(
     Returns:
         The axes; time in s, error in percent.
     """
-    from matplotlib.figure import Figure
-
-    if axes is None:
-        axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
+    axes = new_axes(axes)
     floor = curve.reference.error
     shown = [t for t in curve.trials if np.isfinite(t.error) and t.error > 0]
     # a much more accurate reference, or an error bar to zero, would flatten the points
@@ -89,8 +86,7 @@ def plot(
         falls = "error" if by_factor else "order"
         order = f"\n{falls} {curve.order}"
     axes.set_title(f"{curve.knob.name}{unit}{order}", fontsize=10)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     return axes
 
 
@@ -112,10 +108,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     Returns:
         The axes; time in s, error in percent.
     """
-    from matplotlib.figure import Figure
-
-    if axes is None:
-        axes = Figure(figsize=(4.8, 3.6), layout="constrained").add_subplot()
+    axes = new_axes(axes)
     drawn: list[float] = []
     for curve in curves:
         best = [curve.trials[i] for i in curve.pareto if curve.trials[i].error > 0]
@@ -127,8 +120,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
     if drawn:
         few_ticks(axes)
     axes.set_title("Pareto fronts of all knobs", fontsize=10)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False)
     return axes

@@ -172,11 +172,8 @@ def compare(
         moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
         spread = spread - moved[:, None, None] * found.by_light
     spread = spread[..., shown]
-    levels, found, lit = (
-        select_levels(levels, shown),
-        select_levels(found, shown),
-        select_levels(lit, shown),
-    )
+    levels, found = select_levels(levels, shown), select_levels(found, shown)
+    lit = select_levels(lit, shown)
     seen, own = levels.measured, own[:, shown]
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
