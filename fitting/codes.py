@@ -47,31 +47,23 @@ FLOAT32 = 2.0**-22  # relative rounding error of numbers stored in single precis
 @dataclass(frozen=True)
 class Converter:
     """The grid of numbers that a camera's converter can give: its step, its origin and its
-    irregularities.
+    irregularities."""
 
-    Attributes:
-        step: q, DN between neighbouring codes; 0 where the values lie on no grid.
-        origin: DN of one code; every other code lies a whole number of steps from it.
-        even: whether all steps are equal.
-        missing: share of the codes that do not occur between the smallest and the largest code,
-            given the step.
-        imbalance: half the relative difference between the counts of even and odd codes; 0 where
-            chance explains it.
-        clips_at: largest value, DN, where many pixels have exactly that value; None elsewhere.
-        coarse_from: DN above which the step is `coarse_step`; None where all steps are equal.
-        coarse_step: DN between neighbouring codes above `coarse_from`.
-        clips_below: smallest value of darks, DN, where clipping gives many pixels that value,
-            although it is above the first code; None elsewhere.
-    """
-
-    step: float = 1.0
-    origin: float = 0.0
-    even: bool = True
+    step: float = 1.0  # q, DN between neighbouring codes; 0 where the values lie on no grid
+    origin: float = 0.0  # DN of one code; every other code lies a whole number of steps from it
+    even: bool = True  # whether all steps are equal
+    # share of the codes that do not occur between the smallest and the largest code, given the step
     missing: float = 0.0
+    # half the relative difference between the counts of even and odd codes; 0 where chance explains
+    # it
     imbalance: float = 0.0
+    # largest value, DN, where many pixels have exactly that value; None elsewhere
     clips_at: float | None = None
+    # DN above which the step is `coarse_step`; None where all steps are equal
     coarse_from: float | None = None
-    coarse_step: float = 1.0
+    coarse_step: float = 1.0  # DN between neighbouring codes above `coarse_from`
+    # smallest value of darks, DN, where clipping gives many pixels that value, although it is above
+    # the first code; None elsewhere
     clips_below: float | None = None
 
     @property

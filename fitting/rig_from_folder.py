@@ -88,21 +88,14 @@ class FoundRig:
 
 @dataclass(frozen=True)
 class _Image:
-    """An image file, with what its name and metadata say about it.
+    """An image file, with what its name and metadata say about it."""
 
-    Attributes:
-        name: path relative to the folder.
-        settings: from its metadata.
-        exposure: s, from the metadata or the name.
-        kind: dark, flat, light (of a known shape under a lamp), or "" for an exposure stack.
-        doubts: sentences, or "", on a doubtful exposure time in the name, and on a kind about which
-            name and metadata disagree.
-    """
-
-    name: str
-    settings: ImageSettings
-    exposure: float | None
-    kind: str = ""
+    name: str  # path relative to the folder
+    settings: ImageSettings  # from its metadata
+    exposure: float | None  # s, from the metadata or the name
+    kind: str = ""  # dark, flat, light (of a known shape under a lamp), or "" for an exposure stack
+    # sentences, or "", on a doubtful exposure time in the name, and on a kind about which name and
+    # metadata disagree
     doubts: tuple[str, str] = ("", "")
 
 

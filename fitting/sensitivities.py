@@ -448,16 +448,11 @@ def _matern(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _Channel:
-    """The readings of a channel, of largest value 1, with its evidence and draws.
+    """The readings of a channel, of largest value 1, with its evidence and draws."""
 
-    Attributes:
-        best: (3,) logarithms of the prior's size and length and of the noise that maximise the
-            evidence.
-        passed: (bands,) transmittance of the filter for which it does, no unit.
-    """
-
+    # (3,) logarithms of the prior's size and length and of the noise that maximise the evidence
     best: np.ndarray
-    passed: np.ndarray
+    passed: np.ndarray  # (bands,) transmittance of the filter for which it does, no unit
 
     def __init__(
         self, light: np.ndarray, y: np.ndarray, at: np.ndarray, sd: np.ndarray | None

@@ -23,22 +23,15 @@ Turn = Callable[[Any], Compute]
 
 @dataclass(frozen=True)
 class Density:
-    """A log density, with its mode and the covariance of Laplace's approximation there.
+    """A log density, with its mode and the covariance of Laplace's approximation there."""
 
-    Attributes:
-        log_density: module-level function of (vector, args) that returns the log density up to a
-            constant.
-        space: the P parameters.
-        mode: (P,) vector of unconstrained values where the density is largest.
-        covariance: (P, P) of Laplace's Gaussian about the mode.
-        args: the data, passed to `log_density` as its second argument.
-    """
-
+    # module-level function of (vector, args) that returns the log density up to a constant
     log_density: LogDensity
-    space: ParameterSpace
-    mode: Any
+    space: ParameterSpace  # the P parameters
+    mode: Any  # (P,) vector of unconstrained values where the density is largest
+    # (P, P) of Laplace's Gaussian about the mode
     covariance: Float[np.ndarray, "parameters parameters"]
-    args: Any
+    args: Any  # the data, passed to `log_density` as its second argument
 
     @property
     def errors(self) -> Float[np.ndarray, " parameters"]:

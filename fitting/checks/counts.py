@@ -40,23 +40,17 @@ REACH = 8.5  # half-width of the sum, in read noises
 
 @dataclass(frozen=True)
 class Efficiency:
-    """The Cramer-Rao bound divided by the variance of the estimates, at one read noise.
+    """The Cramer-Rao bound divided by the variance of the estimates, at one read noise."""
 
-    Attributes:
-        read_noise: of the simulated sensor, e-.
-        fits: number of fits that converged.
-        ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
-        whole: the bound over the variance of the estimates for all parameters together, from their
-            whitened squared errors. These are errors of the black level and of the logarithms of
-            all other parameters.
-        claimed: (parameters,) mean of the variances that the fits report, divided by the variance
-            of the estimates.
-    """
-
-    read_noise: float
-    fits: int
+    read_noise: float  # of the simulated sensor, e-
+    fits: int  # number of fits that converged
+    # the bound over the variance of the estimates, in the order of `NAMES`
     ratios: Float[np.ndarray, " parameters"]
+    # the bound over the variance of the estimates for all parameters together, from their whitened
+    # squared errors. These are errors of the black level and of the logarithms of all other
+    # parameters.
     whole: float
+    # mean of the variances that the fits report, divided by the variance of the estimates
     claimed: Float[np.ndarray, " parameters"]
 
 

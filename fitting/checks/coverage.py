@@ -29,29 +29,19 @@ TESTS = len(LEVELS) + 2
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of the intervals of one parameter.
+    """Coverage of the intervals of one parameter."""
 
-    Attributes:
-        name: name of the parameter.
-        simulations: number of fits that gave an interval.
-        covered: share of the intervals that contain the true value, for each nominal probability in
-            `LEVELS`.
-        band: (low, high) range of `covered` that chance explains, for each nominal probability.
-        z_mean: mean of z.
-        z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
-        departure: largest distance of the cumulative distribution of u from the diagonal.
-        allowed: largest distance from the diagonal that chance explains.
-        faults: a sentence on each of these figures that is outside the range explained by chance.
-    """
-
-    name: str
-    simulations: int
+    name: str  # name of the parameter
+    simulations: int  # number of fits that gave an interval
+    # share of the intervals that contain the true value, for each nominal probability in `LEVELS`
     covered: tuple[float, ...]
+    # (low, high) range of `covered` that chance explains, for each nominal probability
     band: tuple[tuple[float, float], ...]
-    z_mean: float
-    z_sd: float
-    departure: float
-    allowed: float
+    z_mean: float  # mean of z
+    z_sd: float  # standard deviation of z; 1 if errors are right, larger if they are too small
+    departure: float  # largest distance of the cumulative distribution of u from the diagonal
+    allowed: float  # largest distance from the diagonal that chance explains
+    # a sentence on each of these figures that is outside the range explained by chance
     faults: tuple[str, ...]
 
     @property

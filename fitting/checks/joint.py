@@ -19,16 +19,11 @@ BLACK, BLACK_SD = 64.0, 0.5  # DN: black level, and its standard deviation in th
 
 @dataclass(frozen=True)
 class Lab:
-    """A simulated laboratory: a glossy sphere, its lights and an uncalibrated camera.
+    """A simulated laboratory: a glossy sphere, its lights and an uncalibrated camera."""
 
-    Attributes:
-        sphere: the sphere with its lights. The fit knows the standard deviations of the errors of
-            the lights.
-        gamma: gamma of the camera's encoding. For 1 the camera is linear, and the fit treats gamma
-            as known.
-    """
-
+    # the sphere with its lights. The fit knows the standard deviations of the errors of the lights.
     sphere: Sphere = field(default_factory=Sphere)
+    # gamma of the camera's encoding. For 1 the camera is linear, and the fit treats gamma as known.
     gamma: float = 2.2
 
     @property

@@ -28,31 +28,21 @@ LEAF, LEAVES, FLUTTER = 16, 5, 4  # leaves: size in pixels, number, motion in pi
 
 @dataclass(frozen=True)
 class Stack:
-    """A simulated exposure stack.
+    """A simulated exposure stack."""
 
-    Attributes:
-        times: exposures, s.
-        encode: function from linear values in 0..1 to codes over full scale.
-        decode: the inverse of `encode`.
-        gamma: gamma of `encode`; None where `encode` is not a power law.
-        shutter_sd: relative error of each exposure.
-        black: black level, DN.
-        black_sd: error of the black level, DN, of which the fit knows the standard deviation.
-        stated: whether the fit knows `shutter_sd`.
-        quality: of JPEG files; None for lossless files.
-        hand: largest shift of an image along each axis by a hand-held camera, pixels. If it is not
-            0, leaves in the scene move too.
-    """
-
-    times: tuple[float, ...] = EIGHT
+    times: tuple[float, ...] = EIGHT  # exposures, s
+    # function from linear values in 0..1 to codes over full scale
     encode: Callable[[np.ndarray], np.ndarray] = lambda x: x ** (1 / 2.2)
-    decode: Callable[[np.ndarray], np.ndarray] = lambda v: v**2.2
-    gamma: float | None = 2.2
-    shutter_sd: float = 0.0
-    black: float = 0.0
+    decode: Callable[[np.ndarray], np.ndarray] = lambda v: v**2.2  # the inverse of `encode`
+    gamma: float | None = 2.2  # gamma of `encode`; None where `encode` is not a power law
+    shutter_sd: float = 0.0  # relative error of each exposure
+    black: float = 0.0  # black level, DN
+    # error of the black level, DN, of which the fit knows the standard deviation
     black_sd: float = 0.0
-    stated: bool = False
-    quality: int | None = None
+    stated: bool = False  # whether the fit knows `shutter_sd`
+    quality: int | None = None  # of JPEG files; None for lossless files
+    # largest shift of an image along each axis by a hand-held camera, pixels. If it is not 0,
+    # leaves in the scene move too.
     hand: float = 0.0
 
 

@@ -20,36 +20,22 @@ COPIED = "{} are equal in every pixel, so at most one of them was taken as state
 @dataclass(frozen=True)
 class FrameSample:
     """The summary of a frame: means, shares of clipped pixels, and a sample of at most 128 x 128
-    pixels.
+    pixels."""
 
-    Attributes:
-        name: of the frame.
-        mean: of the frame, DN.
-        at_top: share of the pixels at or above the clip level.
-        at_bottom: share of the pixels at 0.
-        sample: (rows, columns) DN of evenly spread pixels.
-    """
-
-    name: str
-    mean: float
-    at_top: float
-    at_bottom: float
-    sample: Float[np.ndarray, "rows columns"]
+    name: str  # of the frame
+    mean: float  # of the frame, DN
+    at_top: float  # share of the pixels at or above the clip level
+    at_bottom: float  # share of the pixels at 0
+    sample: Float[np.ndarray, "rows columns"]  # DN of evenly spread pixels
 
 
 @dataclass(frozen=True)
 class OddFrames:
-    """Frames that are left out, with the reason.
+    """Frames that are left out, with the reason."""
 
-    Attributes:
-        names: names of the frames, at least one.
-        reason: why they differ from the others, a clause.
-        spare: whether the frames are correct, but do not belong to this set of frames.
-    """
-
-    names: tuple[str, ...]
-    reason: str
-    spare: bool = False
+    names: tuple[str, ...]  # names of the frames, at least one
+    reason: str  # why they differ from the others, a clause
+    spare: bool = False  # whether the frames are correct, but do not belong to this set of frames
 
     @property
     def sentence(self) -> str:

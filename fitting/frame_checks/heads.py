@@ -20,19 +20,12 @@ WARMER = 5.0  # K, largest drift of a sensor during a series
 
 @dataclass(frozen=True)
 class Stated:
-    """A frame as the rig file states it: its name, file, exposure and group.
+    """A frame as the rig file states it: its name, file, exposure and group."""
 
-    Attributes:
-        name: of the frame.
-        path: of its file.
-        exposure: s; 0 where the rig states none.
-        group: number of the group of frames in the same light through the same lens.
-    """
-
-    name: str
-    path: Path
-    exposure: float
-    group: int = 0
+    name: str  # of the frame
+    path: Path  # of its file
+    exposure: float  # s; 0 where the rig states none
+    group: int = 0  # number of the group of frames in the same light through the same lens
 
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFrames], list[str]]:

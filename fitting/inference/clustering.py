@@ -103,21 +103,16 @@ def gaussian_equivalent(
 @dataclass(frozen=True)
 class _Clustering:
     """The matrices of one level of clusters, with parameters in units in which the information I is
-    1.
+    1."""
 
-    Attributes:
-        shares: (clusters, P, P) A_g, the shares of the clusters in the information.
-        widening: (clusters, P, P) B_g, which corrects the scores.
-        variance: (P, P) V, the covariance of the scores.
-        unclustered: (P, P) V if every sample were its own cluster.
-        effect: ratio of V to the variance of independent residuals of the same size.
-    """
-
+    # (clusters, P, P) A_g, the shares of the clusters in the information
     shares: Float[np.ndarray, "clusters parameters parameters"]
+    # (clusters, P, P) B_g, which corrects the scores
     widening: Float[np.ndarray, "clusters parameters parameters"]
-    variance: Float[np.ndarray, "parameters parameters"]
+    variance: Float[np.ndarray, "parameters parameters"]  # (P, P) V, the covariance of the scores
+    # (P, P) V if every sample were its own cluster
     unclustered: Float[np.ndarray, "parameters parameters"]
-    effect: float
+    effect: float  # ratio of V to the variance of independent residuals of the same size
 
 
 def cluster_robust(

@@ -140,26 +140,17 @@ def enough_walkers(options: Emcee, dimension: int) -> int:
 
 @dataclass(frozen=True)
 class Chain:
-    """The draws of an ensemble after its burn-in.
+    """The draws of an ensemble after its burn-in."""
 
-    Attributes:
-        vectors: (draws, walkers, parameters) unconstrained values.
-        log_density: (draws, walkers) log density of the vectors.
-        tau: (parameters,) autocorrelation times in steps; infinite where a walker never moved.
-        acceptance: share of accepted proposals.
-        steps: number of all steps, including the burn-in.
-        missing_steps: estimated number of further steps that the chain needs; 0 where it is long
-            enough.
-        blocks: the whole chain, from which a longer run continues.
-    """
-
-    vectors: Float[np.ndarray, "draws walkers parameters"]
-    log_density: Float[np.ndarray, "draws walkers"]
+    vectors: Float[np.ndarray, "draws walkers parameters"]  # unconstrained values
+    log_density: Float[np.ndarray, "draws walkers"]  # log density of the vectors
+    # autocorrelation times in steps; infinite where a walker never moved
     tau: Float[np.ndarray, " parameters"]
-    acceptance: float
-    steps: int
+    acceptance: float  # share of accepted proposals
+    steps: int  # number of all steps, including the burn-in
+    # estimated number of further steps that the chain needs; 0 where it is long enough
     missing_steps: int
-    blocks: tuple[Block, ...]
+    blocks: tuple[Block, ...]  # the whole chain, from which a longer run continues
 
 
 def run_ensemble(

@@ -320,16 +320,11 @@ Proposal = tuple[np.ndarray, np.ndarray]  # centre and covariance
 
 @dataclass(frozen=True)
 class _Proposed:
-    """Vectors drawn from the proposals, with their proposal densities.
+    """Vectors drawn from the proposals, with their proposal densities."""
 
-    Attributes:
-        vectors: (n, P) unconstrained.
-        scaled: (n, P) each on its own scale (identity or logarithm).
-        log_proposal: (n,) ln of their proposal density, infinite for those outside the bounds.
-    """
-
-    vectors: np.ndarray
-    scaled: np.ndarray
+    vectors: np.ndarray  # (n, P) unconstrained
+    scaled: np.ndarray  # (n, P) each on its own scale (identity or logarithm)
+    # (n,) ln of their proposal density, infinite for those outside the bounds
     log_proposal: np.ndarray
 
 

@@ -26,17 +26,13 @@ TOLERANCE = 0.1  # standard deviations of the noise of all data
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An error that a likelihood omits.
+    """An error that a likelihood omits."""
 
-    Attributes:
-        name: name of the error, in the rig or the model.
-        size: size that the rig states, in its unit; None where it is estimated from the data.
-        bound: largest change of the expected data that the error causes, in standard deviations of
-            their noise.
-    """
-
-    name: str
+    name: str  # name of the error, in the rig or the model
+    # size that the rig states, in its unit; None where it is estimated from the data
     size: float | None
+    # largest change of the expected data that the error causes, in standard deviations of their
+    # noise
     bound: float
 
 

@@ -34,28 +34,20 @@ SAME_BLUR = 4  # the same increase in units of `blur`
 
 
 class NewtonSolution(eqx.Module):
-    """The point at which a minimisation ended, and the objective's derivatives there.
+    """The point at which a minimisation ended, and the objective's derivatives there."""
 
-    Attributes:
-        vector: (parameters,) the best point.
-        beyond: (parameters,) the end of one more undamped step; the objective was not evaluated
-            there.
-        cost: the objective at `vector`.
-        information: (parameters, parameters), the Hessian at `vector`.
-        lowest: smallest eigenvalue of the information scaled to unit diagonal.
-        decrement: decrease in cost that one more Newton step predicts; 0.5 corresponds to a step of
-            one standard deviation.
-        steps: number of evaluations.
-        converged: whether `decrement` is within the tolerance and the Hessian positive definite.
-    """
-
-    vector: Float[Array, " parameters"]
+    vector: Float[Array, " parameters"]  # the best point
+    # the end of one more undamped step; the objective was not evaluated there
     beyond: Float[Array, " parameters"]
-    cost: Float[Array, ""]
+    cost: Float[Array, ""]  # the objective at `vector`
+    # (parameters, parameters), the Hessian at `vector`
     information: Float[Array, "parameters parameters"]
-    lowest: Float[Array, ""]
+    lowest: Float[Array, ""]  # smallest eigenvalue of the information scaled to unit diagonal
+    # decrease in cost that one more Newton step predicts; 0.5 corresponds to a step of one standard
+    # deviation
     decrement: Float[Array, ""]
-    steps: Int[Array, ""]
+    steps: Int[Array, ""]  # number of evaluations
+    # whether `decrement` is within the tolerance and the Hessian positive definite
     converged: Bool[Array, ""]
 
 

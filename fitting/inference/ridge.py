@@ -35,21 +35,14 @@ FREEDOM = 5.0  # degrees of freedom of half of the proposals; the others are Gau
 
 @dataclass(frozen=True)
 class Ridge:
-    """The density of one number u, and the best values of the others at each u.
+    """The density of one number u, and the best values of the others at each u."""
 
-    Attributes:
-        index: of u among the P numbers.
-        places: u.
-        log_density: of u, up to a constant.
-        centres: all numbers, with the others at their best values.
-        roots: of the covariances of the others at each u.
-    """
-
-    index: int
-    places: Float[np.ndarray, " places"]
-    log_density: Float[np.ndarray, " places"]
+    index: int  # of u among the P numbers
+    places: Float[np.ndarray, " places"]  # u
+    log_density: Float[np.ndarray, " places"]  # of u, up to a constant
+    # all numbers, with the others at their best values
     centres: Float[np.ndarray, "places parameters"]
-    roots: Float[np.ndarray, "places others others"]
+    roots: Float[np.ndarray, "places others others"]  # of the covariances of the others at each u
 
     @property
     def mode(self) -> Float[np.ndarray, " parameters"]:

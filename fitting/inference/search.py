@@ -105,28 +105,18 @@ Ended = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best optimum that the searches found, and where each of them ended.
+    """The best optimum that the searches found, and where each of them ended."""
 
-    Attributes:
-        vector: (P,) the mode, unconstrained.
-        cost: negative log posterior density at the mode.
-        information: (P, P) curvature of the cost.
-        prior_information: (P, P) curvature of the prior's part of the cost.
-        decrement: decrease in cost that one more step predicts.
-        stationary: whether the decrement is negligible.
-        ends: (starts, P) end of each search, unconstrained.
-        costs: (starts,) cost at each end, relative to the lowest.
-        unseen: parameters whose gradient omits part of their effect, each with the omitted share.
-    """
-
-    vector: Float[np.ndarray, " parameters"]
-    cost: float
-    information: Float[np.ndarray, "parameters parameters"]
+    vector: Float[np.ndarray, " parameters"]  # (P,) the mode, unconstrained
+    cost: float  # negative log posterior density at the mode
+    information: Float[np.ndarray, "parameters parameters"]  # (P, P) curvature of the cost
+    # (P, P) curvature of the prior's part of the cost
     prior_information: Float[np.ndarray, "parameters parameters"]
-    decrement: float
-    stationary: bool
-    ends: Float[np.ndarray, "starts parameters"]
-    costs: Float[np.ndarray, " starts"]
+    decrement: float  # decrease in cost that one more step predicts
+    stationary: bool  # whether the decrement is negligible
+    ends: Float[np.ndarray, "starts parameters"]  # (starts, P) end of each search, unconstrained
+    costs: Float[np.ndarray, " starts"]  # cost at each end, relative to the lowest
+    # parameters whose gradient omits part of their effect, each with the omitted share
     unseen: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -46,17 +46,12 @@ Columns = Callable[[Any], Any]  # of (knots,) values of t: (knots, observations)
 
 
 class SeparableFit(eqx.Module):
-    """The best fit of a separable model.
+    """The best fit of a separable model."""
 
-    Attributes:
-        amplitudes: (bands, columns) amplitudes of the fixed columns, then of the searched one.
-        nonlinear: the nonlinear parameter t; NaN without a searched column.
-        cost: weighted sum of squared residuals over all bands.
-    """
-
+    # amplitudes of the fixed columns, then of the searched one
     amplitudes: Float[Any, "bands columns"]
-    nonlinear: float
-    cost: float
+    nonlinear: float  # the nonlinear parameter t; NaN without a searched column
+    cost: float  # weighted sum of squared residuals over all bands
 
 
 def non_negative_amplitudes(
@@ -238,17 +233,12 @@ def closed_form_indices(problem: Problem) -> tuple[int, ...]:
 
 
 class Eliminated(eqx.Module):
-    """A problem with its linear numbers eliminated.
+    """A problem with its linear numbers eliminated."""
 
-    Attributes:
-        residuals: (data + K,) residuals of the data, then of the priors of the K linear numbers.
-        natural: (K,) the best values, in their units.
-        precision: (K,) curvature of the cost along each linear number alone.
-    """
-
+    # (data + K,) residuals of the data, then of the priors of the K linear numbers
     residuals: Float[Array, " residuals"]
-    natural: Float[Array, " linear"]
-    precision: Float[Array, " linear"]
+    natural: Float[Array, " linear"]  # (K,) the best values, in their units
+    precision: Float[Array, " linear"]  # (K,) curvature of the cost along each linear number alone
 
 
 def eliminate(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:

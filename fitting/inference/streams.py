@@ -30,14 +30,10 @@ SEED = 0  # seed of the sample
 
 @dataclass(frozen=True)
 class Rows:
-    """Some rows of the data, with their inputs and likelihood fields.
+    """Some rows of the data, with their inputs and likelihood fields."""
 
-    Attributes:
-        data: (rows, ...) the data of the rows.
-        own: the arrays of inputs and likelihood with one row per row of data, each (rows, ...).
-    """
-
-    data: np.ndarray
+    data: np.ndarray  # (rows, ...) the data of the rows
+    # the arrays of inputs and likelihood with one row per row of data, each (rows, ...)
     own: tuple[np.ndarray, ...]
 
 
@@ -46,28 +42,19 @@ class Stream:
     """The source of a problem's data, which are read in chunks.
 
     All streams compare equal, so that problems with different streams share a compiled program. No
-    compiled program reads from a stream.
+    compiled program reads from a stream."""
 
-    Attributes:
-        data: (rows, ...) array, or a function that yields blocks of rows.
-        inputs: as the user passed them.
-        likelihood: as the user passed it.
-        beside: inputs and likelihood. If a function yields the inputs, those of its first piece.
-        by_row: for each array of `beside`, whether it has one row per row of data; other arrays are
-            the same for all rows.
-        size: number of rows of a chunk.
-        count: number of all rows, known after the first pass.
-        mark: checksum of all numbers that a function yields, independent of their order; None for
-            an array.
-    """
-
-    data: Any = field(repr=False)
-    inputs: Any = field(repr=False)
-    likelihood: Any = field(repr=False)
+    data: Any = field(repr=False)  # (rows, ...) array, or a function that yields blocks of rows
+    inputs: Any = field(repr=False)  # as the user passed them
+    likelihood: Any = field(repr=False)  # as the user passed it
+    # inputs and likelihood. If a function yields the inputs, those of its first piece.
     beside: tuple[Any, Any] = field(repr=False)
+    # for each array of `beside`, whether it has one row per row of data; other arrays are the same
+    # for all rows
     by_row: tuple[bool, ...]
-    size: int
-    count: int = 0
+    size: int  # number of rows of a chunk
+    count: int = 0  # number of all rows, known after the first pass
+    # checksum of all numbers that a function yields, independent of their order; None for an array
     mark: int | None = None
 
     def __eq__(self, other: object) -> bool:

@@ -26,23 +26,14 @@ UNEVEN = 0.01  # assumed relative variation of the mirror's reflectance
 
 @dataclass(frozen=True)
 class Highlight:
-    """The position and flux of a highlight.
+    """The position and flux of a highlight."""
 
-    Attributes:
-        place: column and row of the highlight, pixels.
-        sd: standard deviation of each, pixels.
-        flux: sum over all pixels of the highlight, DN; NaN where some are clipped.
-        flux_sd: relative standard deviation of the flux.
-        level: median of the ball's pixels, DN above black.
-        peak: largest signal, DN above black.
-    """
-
-    place: Float[np.ndarray, "2"]
-    sd: float
-    flux: float
-    flux_sd: float
-    level: float
-    peak: float
+    place: Float[np.ndarray, "2"]  # column and row of the highlight, pixels
+    sd: float  # standard deviation of each, pixels
+    flux: float  # sum over all pixels of the highlight, DN; NaN where some are clipped
+    flux_sd: float  # relative standard deviation of the flux
+    level: float  # median of the ball's pixels, DN above black
+    peak: float  # largest signal, DN above black
 
 
 def highlight_of(

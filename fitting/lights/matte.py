@@ -44,45 +44,30 @@ POWERS = 0.4, 2.5  # range of the power
 
 @dataclass(frozen=True)
 class Shading:
-    """The fitted lights of a matte ball, and the outline that they share.
+    """The fitted lights of a matte ball, and the outline that they share."""
 
-    Attributes:
-        values: (3,) column, row and radius of the outline, pixels.
-        outline_covariance: (3, 3) covariance of the outline.
-        g: (lights, 3) direction of each light times its irradiance and the albedo, DN.
-        own: (lights, 3, 3) covariance of g for a known outline.
-        by_outline: (lights, 3, 3) derivative of g with respect to the outline.
-        misfit: rms residual over the largest signal, median over lights.
-        effect: design effect of the residuals.
-        offset: (lights,) constant that each image alone would add to its g.n, DN.
-        shift: (lights, 2) displacement of the ball in each image alone from the shared outline,
-            columns and rows, pixels.
-        shift_sd: (lights,) its standard deviation, pixels.
-        floor: level of pixels that face away from the lights, DN above black; it was subtracted.
-        power: fitted power of n.l, 1 for Lambert's law.
-        power_sd: its standard error.
-        moved: (lights, 3) change of g if the power is free; None if it does not differ from 1.
-        tilt: (3,) change of every g by room light that is brighter on one side of the ball, as the
-            unlit pixels show it; None if it is small.
-        unlit: (lights,) level of the unlit pixels under each light, DN above black; NaN where they
-            are few.
-    """
-
-    values: Float[np.ndarray, "3"]
-    outline_covariance: Float[np.ndarray, "3 3"]
+    values: Float[np.ndarray, "3"]  # column, row and radius of the outline, pixels
+    outline_covariance: Float[np.ndarray, "3 3"]  # covariance of the outline
+    # direction of each light times its irradiance and the albedo, DN
     g: Float[np.ndarray, "lights 3"]
-    own: Float[np.ndarray, "lights 3 3"]
-    by_outline: Float[np.ndarray, "lights 3 3"]
-    misfit: float
-    effect: float
-    offset: Float[np.ndarray, " lights"]
+    own: Float[np.ndarray, "lights 3 3"]  # covariance of g for a known outline
+    by_outline: Float[np.ndarray, "lights 3 3"]  # derivative of g with respect to the outline
+    misfit: float  # rms residual over the largest signal, median over lights
+    effect: float  # design effect of the residuals
+    offset: Float[np.ndarray, " lights"]  # constant that each image alone would add to its g.n, DN
+    # displacement of the ball in each image alone from the shared outline, columns and rows, pixels
     shift: Float[np.ndarray, "lights 2"]
-    shift_sd: Float[np.ndarray, " lights"]
+    shift_sd: Float[np.ndarray, " lights"]  # its standard deviation, pixels
+    # level of pixels that face away from the lights, DN above black; it was subtracted
     floor: float = 0.0
-    power: float = 1.0
-    power_sd: float = 0.0
+    power: float = 1.0  # fitted power of n.l, 1 for Lambert's law
+    power_sd: float = 0.0  # its standard error
+    # change of g if the power is free; None if it does not differ from 1
     moved: Float[np.ndarray, "lights 3"] | None = None
+    # change of every g by room light that is brighter on one side of the ball, as the unlit pixels
+    # show it; None if it is small
     tilt: Float[np.ndarray, " 3"] | None = None
+    # level of the unlit pixels under each light, DN above black; NaN where they are few
     unlit: Float[np.ndarray, " lights"] = field(default_factory=lambda: np.zeros(0))
 
 

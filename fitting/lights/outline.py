@@ -30,15 +30,10 @@ ROUND = 0.05  # largest rms of a mask's edge about the outline, relative to the 
 
 @dataclass(frozen=True)
 class Lens:
-    """The projection of the camera: orthographic, or through a lens.
+    """The projection of the camera: orthographic, or through a lens."""
 
-    Attributes:
-        focal_length: focal length in pixels; None for an orthographic view.
-        centre: (column, row) where the lens's axis meets the picture.
-    """
-
-    focal_length: float | None
-    centre: tuple[float, float]
+    focal_length: float | None  # focal length in pixels; None for an orthographic view
+    centre: tuple[float, float]  # (column, row) where the lens's axis meets the picture
 
 
 @dataclass(frozen=True)

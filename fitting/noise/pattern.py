@@ -35,21 +35,17 @@ SIGNIFICANCE_SIGMAS = 2.0  # standard errors above zero from which a pattern var
 
 @dataclass(frozen=True)
 class Spread:
-    """The variance of the pixels' offsets or of their gains over the population of pixels.
+    """The variance of the pixels' offsets or of their gains over the population of pixels."""
 
-    Attributes:
-        variance: DN^2 for offsets; relative for gains.
-        noise: standard error of the variance over this sensor's pixels, without the sampling error
-            of these pixels from a population.
-        parts: variances of pixels and, where the means of rows and columns are known, of rows and
-            columns; 0 where rows or columns do not differ significantly.
-        temporal: the part of `noise` from temporal noise, which more frames reduce; None if all of
-            `noise` is temporal.
-    """
-
-    variance: float
+    variance: float  # DN^2 for offsets; relative for gains
+    # standard error of the variance over this sensor's pixels, without the sampling error of these
+    # pixels from a population
     noise: float
+    # variances of pixels and, where the means of rows and columns are known, of rows and columns; 0
+    # where rows or columns do not differ significantly
     parts: tuple[Part, ...]
+    # the part of `noise` from temporal noise, which more frames reduce; None if all of `noise` is
+    # temporal
     temporal: float | None = None
 
     @property
@@ -81,23 +77,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class PatternVariance:
-    """The fixed pattern of a sensor: the variances of dark signal and of gain.
+    """The fixed pattern of a sensor: the variances of dark signal and of gain."""
 
-    Attributes:
-        dark: s_dark^2, the variance of the dark signal, DN^2.
-        response: PRNU^2, the relative variance of the gains.
-        chi_square_per_dof: of the fit to all levels; None for the standard's method, which uses two
-            levels.
-        p_value: probability of a chi-square at least as large by chance; None for the standard's
-            method.
-        level: index of the bright level used; None if all were used.
-    """
-
-    dark: Spread
-    response: Spread
+    dark: Spread  # s_dark^2, the variance of the dark signal, DN^2
+    response: Spread  # PRNU^2, the relative variance of the gains
+    # of the fit to all levels; None for the standard's method, which uses two levels
     chi_square_per_dof: float | None = None
+    # probability of a chi-square at least as large by chance; None for the standard's method
     p_value: float | None = None
-    level: int | None = None
+    level: int | None = None  # index of the bright level used; None if all were used
 
 
 def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:

@@ -82,19 +82,12 @@ def read_photon_transfer(
 @dataclass(frozen=True)
 class Reduced:
     """A rig's photon transfer measurement, with the names of the frames and a function that reads
-    the frames again.
+    the frames again."""
 
-    Attributes:
-        measurement: the measurement, before the checks that may refuse it.
-        flats: names of the used frames, by bright level.
-        darks: names of the used frames, by dark level.
-        plane: function from a frame's name to its (h, w) DN.
-    """
-
-    measurement: PhotonTransfer
-    flats: list[list[str]]
-    darks: list[list[str]]
-    plane: Callable[[str], np.ndarray]
+    measurement: PhotonTransfer  # the measurement, before the checks that may refuse it
+    flats: list[list[str]]  # names of the used frames, by bright level
+    darks: list[list[str]]  # names of the used frames, by dark level
+    plane: Callable[[str], np.ndarray]  # function from a frame's name to its (h, w) DN
 
 
 def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
@@ -237,20 +230,13 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
 
 @dataclass(frozen=True)
 class _Source:
-    """The source of a measurement's frames: its rig, its channel and its valid pixels.
+    """The source of a measurement's frames: its rig, its channel and its valid pixels."""
 
-    Attributes:
-        rig: the rig that lists the files.
-        channel: mosaic site or amplifier tap.
-        load: function that reads an image from its path.
-        live: (h, w) true where a pixel is used; None for all.
-        live_of: the valid pixels of frames of each size.
-    """
-
-    rig: Rig
-    channel: str
-    load: Load
-    live: np.ndarray | None
+    rig: Rig  # the rig that lists the files
+    channel: str  # mosaic site or amplifier tap
+    load: Load  # function that reads an image from its path
+    live: np.ndarray | None  # (h, w) true where a pixel is used; None for all
+    # the valid pixels of frames of each size
     live_of: dict[tuple[int, ...], LivePixels] = field(default_factory=dict)
 
     def plane(self, name: str) -> np.ndarray:

@@ -17,19 +17,14 @@ _NUMBER = re.compile(r"(?<![\w.])[-+−]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
 
 
 class Finding(NamedTuple):
-    """A sentence of a report with its condition.
+    """A sentence of a report with its condition."""
 
-    Attributes:
-        key: name of the finding.
-        condition: function of a calibration that returns whether the sentence is stated, or the
-            numbers of the sentence by name. For a list of such results, the sentence is stated once
-            for each. For None or an empty list, the sentence is not stated.
-        sentence: format string of the sentence, into which the numbers are inserted.
-    """
-
-    key: str
+    key: str  # name of the finding
+    # function of a calibration that returns whether the sentence is stated, or the numbers of the
+    # sentence by name. For a list of such results, the sentence is stated once for each. For None
+    # or an empty list, the sentence is not stated.
     condition: Callable[[Any], bool | Numbers | Iterable[Numbers] | None]
-    sentence: str
+    sentence: str  # format string of the sentence, into which the numbers are inserted
 
 
 def evaluate_findings(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:

@@ -17,59 +17,37 @@ from .section import Section
 
 @dataclass(frozen=True)
 class Cell:
-    """The text of one estimate in the table.
+    """The text of one estimate in the table."""
 
-    Attributes:
-        value: the value with its standard error; a dash where there is no value.
-        interval: the 95 % interval; empty where there is no interval.
-        note: number of the note that gives the reason for a missing value; 0 without a note.
-    """
-
-    value: str = ""
-    interval: str = ""
-    note: int = 0
+    value: str = ""  # the value with its standard error; a dash where there is no value
+    interval: str = ""  # the 95 % interval; empty where there is no interval
+    note: int = 0  # number of the note that gives the reason for a missing value; 0 without a note
 
 
 @dataclass(frozen=True)
 class Row:
-    """The text of one quantity, a row of the table.
+    """The text of one quantity, a row of the table."""
 
-    Attributes:
-        name: name of the quantity, in words.
-        letter: letter of the quantity's symbol.
-        subscript: subscript of the quantity's symbol.
-        unit: unit of the quantity, as printed.
-        cells: one cell for each column.
-        difference: difference of two methods over the larger of their standard errors.
-    """
-
-    name: str
-    letter: str
-    subscript: str
-    unit: str
-    cells: tuple[Cell, ...]
-    difference: str = ""
+    name: str  # name of the quantity, in words
+    letter: str  # letter of the quantity's symbol
+    subscript: str  # subscript of the quantity's symbol
+    unit: str  # unit of the quantity, as printed
+    cells: tuple[Cell, ...]  # one cell for each column
+    difference: str = ""  # difference of two methods over the larger of their standard errors
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """The content of the table of a section's estimates.
+    """The content of the table of a section's estimates."""
 
-    Attributes:
-        columns: headings of the columns of cells.
-        blocks: rows of the table, grouped under the headings of the section. The heading is empty
-            where the section has none.
-        notes: reasons for undetermined values, numbered from 1.
-        methods: sentence that names the methods of estimation, for a table whose columns are
-            channels.
-        compares: whether rows state the difference of two methods.
-    """
-
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # headings of the columns of cells
+    # rows of the table, grouped under the headings of the section. The heading is empty where the
+    # section has none.
     blocks: tuple[tuple[str, tuple[Row, ...]], ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # reasons for undetermined values, numbered from 1
+    # sentence that names the methods of estimation, for a table whose columns are channels
     methods: str
-    compares: bool
+    compares: bool  # whether rows state the difference of two methods
 
 
 def sheet(section: Section) -> Sheet:

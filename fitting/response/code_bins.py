@@ -10,21 +10,13 @@ MAX_BINS = 512  # 8- and 9-bit codes have a bin each
 
 @dataclass(frozen=True)
 class CodeBins:
-    """The bins of codes in which a response curve is represented.
+    """The bins of codes in which a response curve is represented."""
 
-    Attributes:
-        edges: DN, ascending, halfway between codes.
-        lookup: (codes,) bin of every code; -1 at or below black and where clipped.
-        black: DN without light.
-        anchor: DN where g = 0; None for mid-scale.
-        black_sd: standard deviation of the black level, DN; 0 where exact.
-    """
-
-    edges: Float[np.ndarray, " edges"]
-    lookup: Int[np.ndarray, " codes"]
-    black: float
-    anchor: float | None = None
-    black_sd: float = 0.0
+    edges: Float[np.ndarray, " edges"]  # DN, ascending, halfway between codes
+    lookup: Int[np.ndarray, " codes"]  # bin of every code; -1 at or below black and where clipped
+    black: float  # DN without light
+    anchor: float | None = None  # DN where g = 0; None for mid-scale
+    black_sd: float = 0.0  # standard deviation of the black level, DN; 0 where exact
 
     @property
     def full_scale(self) -> int:

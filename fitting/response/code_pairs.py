@@ -41,21 +41,14 @@ SMOOTHING = 0.3  # smoothing of the exponent, as a share of a code or, near whit
 @dataclass(frozen=True)
 class PairStatistics:
     """The information of the pixels about a curve: the matrix A and score b for the unknowns, which
-    are the log exposure g in each bin of codes and the log time s of each exposure.
+    are the log exposure g in each bin of codes and the log time s of each exposure."""
 
-    Attributes:
-        matrix: the matrix A.
-        score: the score b.
-        pixels: number of pixels.
-        observations: (exposures,) number of pixels with a positive weight in each exposure.
-        chi_square: of the residuals at the curve from which the weights were computed.
-    """
-
-    matrix: Float[np.ndarray, "unknowns unknowns"]
-    score: Float[np.ndarray, " unknowns"]
-    pixels: int
+    matrix: Float[np.ndarray, "unknowns unknowns"]  # the matrix A
+    score: Float[np.ndarray, " unknowns"]  # the score b
+    pixels: int  # number of pixels
+    # number of pixels with a positive weight in each exposure
     observations: Int[np.ndarray, " exposures"]
-    chi_square: float
+    chi_square: float  # of the residuals at the curve from which the weights were computed
 
 
 def pair_statistics(

@@ -63,65 +63,40 @@ class GammaSums(eqx.Module):
     the axes of their information, chi^2 / 2 is
 
         information gamma^2 / 2 - pull gamma
-        + gamma mixed . d + information_d . d^2 / 2 - pull_d . d.
+        + gamma mixed . d + information_d . d^2 / 2 - pull_d . d."""
 
-    Attributes:
-        information: Fisher information about gamma.
-        pull: score of gamma.
-        mixed: (free,) Fisher information between gamma and d, its off-diagonal part.
-        information_d: (free,) Fisher information about d.
-        pull_d: (free,) score of d.
-        spread: sum of squares of the log exposure times about their mean.
-        known: the tau that the rig states, added in quadrature to the fitted tau; None for 0.
-        added: variance of gamma from sources other than tau and noise: black level, systematic
-            errors and choice of weights.
-        most: upper limit of the fitted tau.
-        median: of the prior of the fitted tau.
-        log_sd: standard deviation of its logarithm in that prior.
-    """
-
-    information: Float[Array, ""]
-    pull: Float[Array, ""]
-    mixed: Float[Array, " free"]
-    information_d: Float[Array, " free"]
-    pull_d: Float[Array, " free"]
-    spread: Float[Array, ""]
+    information: Float[Array, ""]  # Fisher information about gamma
+    pull: Float[Array, ""]  # score of gamma
+    mixed: Float[Array, " free"]  # Fisher information between gamma and d, its off-diagonal part
+    information_d: Float[Array, " free"]  # Fisher information about d
+    pull_d: Float[Array, " free"]  # score of d
+    spread: Float[Array, ""]  # sum of squares of the log exposure times about their mean
+    # the tau that the rig states, added in quadrature to the fitted tau; None for 0
     known: Float[Array, ""] | None
+    # variance of gamma from sources other than tau and noise: black level, systematic errors and
+    # choice of weights
     added: Float[Array, ""]
-    most: Float[Array, ""]
-    median: Float[Array, ""]
-    log_sd: Float[Array, ""]
+    most: Float[Array, ""]  # upper limit of the fitted tau
+    median: Float[Array, ""]  # of the prior of the fitted tau
+    log_sd: Float[Array, ""]  # standard deviation of its logarithm in that prior
 
 
 class GivenShutter(eqx.Module):
-    """The Gaussian posterior of gamma for a given tau.
+    """The Gaussian posterior of gamma for a given tau."""
 
-    Attributes:
-        mean: of gamma.
-        variance: of gamma.
-        log_evidence: log marginal likelihood of that tau.
-    """
-
-    mean: Float[Array, ""]
-    variance: Float[Array, ""]
-    log_evidence: Float[Array, ""]
+    mean: Float[Array, ""]  # of gamma
+    variance: Float[Array, ""]  # of gamma
+    log_evidence: Float[Array, ""]  # log marginal likelihood of that tau
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """The posterior of tau and of a parameter that is Gaussian given tau, on a grid of tau.
+    """The posterior of tau and of a parameter that is Gaussian given tau, on a grid of tau."""
 
-    Attributes:
-        log_tau: (grid,) ln tau, evenly spaced.
-        weights: (grid,) posterior weight of each tau; their sum is 1.
-        mean: (grid,) mean of the parameter, given tau.
-        variance: (grid,) variance of the parameter, given tau.
-    """
-
-    log_tau: Float[np.ndarray, " grid"]
-    weights: Float[np.ndarray, " grid"]
-    mean: Float[np.ndarray, " grid"]
-    variance: Float[np.ndarray, " grid"]
+    log_tau: Float[np.ndarray, " grid"]  # ln tau, evenly spaced
+    weights: Float[np.ndarray, " grid"]  # posterior weight of each tau; their sum is 1
+    mean: Float[np.ndarray, " grid"]  # mean of the parameter, given tau
+    variance: Float[np.ndarray, " grid"]  # variance of the parameter, given tau
 
     def mean_estimate(self, what: Parameter, group: str) -> Estimate:
         """Return the estimate of the parameter, with the quantiles of the mixture."""
@@ -155,29 +130,19 @@ class Mixture:
 
 @dataclass(frozen=True)
 class GammaFit:
-    """The gamma that fits a response best, with the deviations of the curve from it.
+    """The gamma that fits a response best, with the deviations of the curve from it."""
 
-    Attributes:
-        gamma: estimate with intervals.
-        shutter_error: tau, rms of the error of ln t.
-        posterior: of (gamma, tau); if the rig states an exposure error, tau is the error in
-            addition to the stated error.
-        departure: (bins,) ln X of the measured curve minus ln X of the best gamma; NaN for codes
-            without observations.
-        srgb_departure: (bins,) the same difference from the sRGB curve.
-        dispersion: chi-square of the best gamma divided by that of the free curve.
-        findings: sentences on parameters that the data cannot distinguish.
-        left_out: errors stated in the rig that the fit neglects because they are too small to
-            matter.
-    """
-
-    gamma: Estimate
-    shutter_error: Estimate
+    gamma: Estimate  # estimate with intervals
+    shutter_error: Estimate  # tau, rms of the error of ln t
+    # of (gamma, tau); if the rig states an exposure error, tau is the error in addition to the
+    # stated error
     posterior: Posterior
+    # ln X of the measured curve minus ln X of the best gamma; NaN for codes without observations
     departure: Float[np.ndarray, " bins"]
-    srgb_departure: Float[np.ndarray, " bins"]
-    dispersion: float
-    findings: tuple[str, ...]
+    srgb_departure: Float[np.ndarray, " bins"]  # the same difference from the sRGB curve
+    dispersion: float  # chi-square of the best gamma divided by that of the free curve
+    findings: tuple[str, ...]  # sentences on parameters that the data cannot distinguish
+    # errors stated in the rig that the fit neglects because they are too small to matter
     left_out: tuple[LeftOut, ...] = ()
 
 

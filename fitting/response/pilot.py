@@ -42,20 +42,13 @@ WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal
 
 @dataclass(frozen=True)
 class Pilot:
-    """The results of the pilot fit.
+    """The results of the pilot fit."""
 
-    Attributes:
-        means: (bins,) means of the rising curve over coarse bins.
-        noises: noise model of each class of steepness; None for classes whose pixels no noise model
-            fits.
-        rule: the weights of observations, computed from these noise models.
-        solution: the posterior of the last of the four passes.
-    """
-
-    means: Float[np.ndarray, " bins"]
+    means: Float[np.ndarray, " bins"]  # means of the rising curve over coarse bins
+    # noise model of each class of steepness; None for classes whose pixels no noise model fits
     noises: tuple[NoiseModel | None, ...]
-    rule: WeightRule
-    solution: Solution
+    rule: WeightRule  # the weights of observations, computed from these noise models
+    solution: Solution  # the posterior of the last of the four passes
 
 
 def fit_pilot(

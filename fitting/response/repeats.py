@@ -39,18 +39,13 @@ FEWEST_PREDICTED = 30  # fewest pixels for the prediction error of a left-out ex
 @dataclass(frozen=True)
 class HeldOut:
     """The errors of predicting the codes of each exposure by a curve and a radiance that were
-    fitted to the other exposures.
+    fitted to the other exposures."""
 
-    Attributes:
-        rms: (exposures,) rms error of each prediction, DN; NaN where too few pixels can be
-            predicted.
-        exposures: (exposures,) s.
-        far: (exposures,) share of pixels whose error is far beyond that of most pixels, as where
-            something moved; NaN likewise.
-    """
-
+    # rms error of each prediction, DN; NaN where too few pixels can be predicted
     rms: Float[np.ndarray, " exposures"]
-    exposures: Float[np.ndarray, " exposures"]
+    exposures: Float[np.ndarray, " exposures"]  # s
+    # share of pixels whose error is far beyond that of most pixels, as where something moved; NaN
+    # likewise
     far: Float[np.ndarray, " exposures"]
 
     @property
@@ -70,15 +65,10 @@ class HeldOut:
 @dataclass(frozen=True)
 class Repeats:
     """The jackknife deviations of g at the centres of bins, scaled so that their products sum to a
-    covariance.
+    covariance."""
 
-    Attributes:
-        departures: (fits, bins) scaled deviations of each fit from the mean of all.
-        pixels: (bins,) variance that the pixel noise explains.
-    """
-
-    departures: Float[np.ndarray, "fits bins"]
-    pixels: Float[np.ndarray, " bins"]
+    departures: Float[np.ndarray, "fits bins"]  # scaled deviations of each fit from the mean of all
+    pixels: Float[np.ndarray, " bins"]  # variance that the pixel noise explains
 
     @property
     def variance(self) -> Float[np.ndarray, " bins"]:

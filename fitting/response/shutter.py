@@ -50,19 +50,12 @@ RATIOS = stdtrit(FREEDOMS, LEVELS[1]) / stdtrit(FREEDOMS, LEVELS[0])
 @dataclass(frozen=True)
 class Shutter:
     """The variance of a curve from the invisible error of the exposure times (a common exponent),
-    and the posterior of tau.
+    and the posterior of tau."""
 
-    Attributes:
-        per_square: (bins,) variance of g per unit of tau^2.
-        likeliest: tau of maximum posterior probability.
-        tau: (grid,) values of tau.
-        weights: (grid,) probability of each tau; their sum is 1.
-    """
-
-    per_square: Float[np.ndarray, " bins"]
-    likeliest: float
-    tau: Float[np.ndarray, " grid"]
-    weights: Float[np.ndarray, " grid"]
+    per_square: Float[np.ndarray, " bins"]  # variance of g per unit of tau^2
+    likeliest: float  # tau of maximum posterior probability
+    tau: Float[np.ndarray, " grid"]  # values of tau
+    weights: Float[np.ndarray, " grid"]  # probability of each tau; their sum is 1
 
     @property
     def variance(self) -> Float[np.ndarray, " bins"]:

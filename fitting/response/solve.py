@@ -46,30 +46,19 @@ SHUTTER_ERROR_LIMIT = 0.02
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Parameters that are estimated together with a curve.
+    """Parameters that are estimated together with a curve."""
 
-    Attributes:
-        smoothness: precision of the prior.
-        shutter_error: tau, rms of the errors of ln t.
-        design_effect: phi, the factor by which the pixels overstate the information.
-    """
-
-    smoothness: float
-    shutter_error: float
-    design_effect: float = 1.0
+    smoothness: float  # precision of the prior
+    shutter_error: float  # tau, rms of the errors of ln t
+    design_effect: float = 1.0  # phi, the factor by which the pixels overstate the information
 
 
 @dataclass(frozen=True)
 class Equations:
-    """The normal equations for the unknowns (bin means of g, visible shutter errors).
+    """The normal equations for the unknowns (bin means of g, visible shutter errors)."""
 
-    Attributes:
-        matrix: (unknowns, unknowns) left-hand side.
-        right: (unknowns,) right-hand side.
-    """
-
-    matrix: Float[np.ndarray, "unknowns unknowns"]
-    right: Float[np.ndarray, " unknowns"]
+    matrix: Float[np.ndarray, "unknowns unknowns"]  # left-hand side
+    right: Float[np.ndarray, " unknowns"]  # right-hand side
 
 
 @dataclass(frozen=True)

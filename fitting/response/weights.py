@@ -30,18 +30,12 @@ MARGIN = 3.0  # standard deviations between a predicted exposure and unobserved 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """The variance of ln X at the relative exposure X: relative + shot / X + read / X^2.
+    """The variance of ln X at the relative exposure X: relative + shot / X + read / X^2."""
 
-    Attributes:
-        relative: variance by errors in proportion to the light, such as unequal gains of the
-            pixels.
-        shot: variance by shot noise at mid-scale (X = 1).
-        read: variance by read noise at mid-scale (X = 1).
-    """
-
+    # variance by errors in proportion to the light, such as unequal gains of the pixels
     relative: float
-    shot: float
-    read: float
+    shot: float  # variance by shot noise at mid-scale (X = 1)
+    read: float  # variance by read noise at mid-scale (X = 1)
 
 
 def noise_variance(
@@ -55,50 +49,34 @@ def noise_variance(
 @dataclass(frozen=True)
 class WeightRule:
     """Tables of weights over a uniform grid of log exposure. Each table has one row for each class
-    of steepness, and an empty cell at either end.
+    of steepness, and an empty cell at either end."""
 
-    Attributes:
-        by_bin: (classes, bins) initial weight by observed code.
-        start: log exposure of the first cell.
-        step: log exposure between cells.
-        precision: (classes, cells) 1 / variance; None where `by_bin` is the only weight.
-        weight: (classes, cells) fraction of the precision that is used as weight.
-        share: (classes, cells) share of the variance that is independent between exposures: noise,
-            and rounding where noise dithers it.
-        bias: (classes, cells) expected weight times residual at the true curve.
-    """
-
-    by_bin: Float[np.ndarray, "classes bins"]
-    start: float = 0.0
-    step: float = 1.0
+    by_bin: Float[np.ndarray, "classes bins"]  # initial weight by observed code
+    start: float = 0.0  # log exposure of the first cell
+    step: float = 1.0  # log exposure between cells
+    # 1 / variance; None where `by_bin` is the only weight
     precision: Float[np.ndarray, "classes cells"] | None = None
+    # fraction of the precision that is used as weight
     weight: Float[np.ndarray, "classes cells"] | None = None
+    # share of the variance that is independent between exposures: noise, and rounding where noise
+    # dithers it
     share: Float[np.ndarray, "classes cells"] | None = None
+    # expected weight times residual at the true curve
     bias: Float[np.ndarray, "classes cells"] | None = None
 
 
 @dataclass(frozen=True)
 class Observations:
     """The weights and residuals of the linked pixels, which are those with at least two positive
-    weights.
+    weights."""
 
-    Attributes:
-        binned: (exposures, pixels) indices of bins.
-        classes: (pixels,) class of each pixel.
-        weights: (exposures, pixels) weights of the observations.
-        cells: (exposures, pixels) flattened indices of cells of the rule's tables.
-        residuals: (exposures, pixels) residuals in ln X.
-        total: (pixels,) sum of weights.
-        log_irradiance: (pixels,) estimated log irradiance of each pixel.
-    """
-
-    binned: Int[np.ndarray, "exposures pixels"]
-    classes: Int[np.ndarray, " pixels"]
-    weights: Float[np.ndarray, "exposures pixels"]
-    cells: Int[np.ndarray, "exposures pixels"]
-    residuals: Float[np.ndarray, "exposures pixels"]
-    total: Float[np.ndarray, " pixels"]
-    log_irradiance: Float[np.ndarray, " pixels"]
+    binned: Int[np.ndarray, "exposures pixels"]  # indices of bins
+    classes: Int[np.ndarray, " pixels"]  # class of each pixel
+    weights: Float[np.ndarray, "exposures pixels"]  # weights of the observations
+    cells: Int[np.ndarray, "exposures pixels"]  # flattened indices of cells of the rule's tables
+    residuals: Float[np.ndarray, "exposures pixels"]  # residuals in ln X
+    total: Float[np.ndarray, " pixels"]  # sum of weights
+    log_irradiance: Float[np.ndarray, " pixels"]  # estimated log irradiance of each pixel
 
 
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:

@@ -62,23 +62,15 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Folder:
-    """One folder of a study: its name, the paths of its rig and report, and the state of its files.
+    """One folder of a study: its name, the paths of its rig and report, and the state of its
+    files."""
 
-    Attributes:
-        camera: name of the folder in the study.
-        path: path of the rig.
-        out: folder for the report.
-        digest: hash of the rig and its images at the start of the study.
-        changed: time of the latest change of these files, ns.
-        memory: memory that the folder's calibration needs, bytes.
-    """
-
-    camera: str
-    path: Path
-    out: Path
-    digest: str
-    changed: int
-    memory: float
+    camera: str  # name of the folder in the study
+    path: Path  # path of the rig
+    out: Path  # folder for the report
+    digest: str  # hash of the rig and its images at the start of the study
+    changed: int  # time of the latest change of these files, ns
+    memory: float  # memory that the folder's calibration needs, bytes
 
 
 @dataclass(frozen=True)

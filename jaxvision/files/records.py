@@ -160,19 +160,14 @@ class Key(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """The settings with which the tables of one file are read.
+    """The settings with which the tables of one file are read."""
 
-    Attributes:
-        place: name of the file, for messages.
-        kind: name of the kind of record ("camera"), for messages.
-        finite: whether every number must be finite; otherwise the record of the number decides.
-        typed: function that reads values of further types. `typed(hint, where, value)` returns the
-            value, or NotImplemented for an unknown type.
-    """
-
-    place: str
-    kind: str
+    place: str  # name of the file, for messages
+    kind: str  # name of the kind of record ("camera"), for messages
+    # whether every number must be finite; otherwise the record of the number decides
     finite: bool = False
+    # function that reads values of further types. `typed(hint, where, value)` returns the value, or
+    # NotImplemented for an unknown type.
     typed: Callable[[Any, str, Any], Any] = lambda *_: NotImplemented
 
     def wrong(self, what: str) -> InputError:

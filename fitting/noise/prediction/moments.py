@@ -26,46 +26,29 @@ MOST = 1024  # most offsets; for a wider spread they are farther apart
 
 
 class Lit(eqx.Module):
-    """The light and exposure of levels with and without light.
+    """The light and exposure of levels with and without light."""
 
-    Attributes:
-        light: (levels,) photons per pixel and exposure; electrons for a sensor without quantum
-            efficiency.
-        exposure: (levels,) s.
-        lit: (levels,) 1 with light, 0 without.
-    """
-
+    # (levels,) photons per pixel and exposure; electrons for a sensor without quantum efficiency
     light: Float[Array | np.ndarray, "..."]
-    exposure: Float[Array | np.ndarray, "..."]
-    lit: Float[Array | np.ndarray, "..."]
+    exposure: Float[Array | np.ndarray, "..."]  # (levels,) s
+    lit: Float[Array | np.ndarray, "..."]  # (levels,) 1 with light, 0 without
 
 
 @dataclass(frozen=True)
 class Expected:
-    """The mean, variance and neighbour covariances that one sensor predicts at each level.
+    """The mean, variance and neighbour covariances that one sensor predicts at each level."""
 
-    Attributes:
-        values: (quantities, levels) predicted `QUANTITIES`, DN and DN^2.
-        by_light: (quantities, levels) derivatives of `values` with respect to the logarithm of the
-            light.
-        electrons: (levels,) mean charge of a pixel.
-        step: (levels,) DN per additional electron at the mean charge.
-        rows: variance of the noise that the pixels of a row share, new in every frame, DN^2.
-        columns: variance of the noise that the pixels of a column share, new in every frame, DN^2.
-        frames: variance of the noise that all pixels of a frame share, DN^2.
-        rounding: variance of the rounding error, DN^2.
-        dark_current: e-/s.
-    """
-
-    values: Float[np.ndarray, "quantities levels"]
+    values: Float[np.ndarray, "quantities levels"]  # predicted `QUANTITIES`, DN and DN^2
+    # derivatives of `values` with respect to the logarithm of the light
     by_light: Float[np.ndarray, "quantities levels"]
-    electrons: Float[np.ndarray, " levels"]
-    step: Float[np.ndarray, " levels"]
-    rows: float
+    electrons: Float[np.ndarray, " levels"]  # mean charge of a pixel
+    step: Float[np.ndarray, " levels"]  # DN per additional electron at the mean charge
+    rows: float  # variance of the noise that the pixels of a row share, new in every frame, DN^2
+    # variance of the noise that the pixels of a column share, new in every frame, DN^2
     columns: float
-    frames: float
-    rounding: float
-    dark_current: float
+    frames: float  # variance of the noise that all pixels of a frame share, DN^2
+    rounding: float  # variance of the rounding error, DN^2
+    dark_current: float  # e-/s
 
     @property
     def signal(self) -> Float[np.ndarray, " levels"]:
@@ -90,30 +73,19 @@ class Expected:
 
 @dataclass(frozen=True)
 class Frames:
-    """Statistics of the frames at each level, taken from `Levels`.
+    """Statistics of the frames at each level, taken from `Levels`."""
 
-    Attributes:
-        mean: (levels,) DN.
-        variance: (levels,) temporal, DN^2.
-        neighbours: (2, levels) covariances along rows and along columns, DN^2; None where they are
-            not known.
-        frames: (levels,) number of frames.
-        pixels: number of pixels.
-        shape: rows and columns; None where they are not known.
-        unsteady: (levels,) variance of a frame's mean by noise that was subtracted, DN^2.
-        light_error: (levels,) relative error of the light of each level.
-        variance_error: relative scatter of the variances for unknown reasons.
-    """
-
-    mean: Float[np.ndarray, " levels"]
-    variance: Float[np.ndarray, " levels"]
+    mean: Float[np.ndarray, " levels"]  # DN
+    variance: Float[np.ndarray, " levels"]  # temporal, DN^2
+    # covariances along rows and along columns, DN^2; None where they are not known
     neighbours: Float[np.ndarray, "2 levels"] | None
-    frames: Float[np.ndarray, " levels"]
-    pixels: float
-    shape: tuple[float, float] | None
+    frames: Float[np.ndarray, " levels"]  # number of frames
+    pixels: float  # number of pixels
+    shape: tuple[float, float] | None  # rows and columns; None where they are not known
+    # variance of a frame's mean by noise that was subtracted, DN^2
     unsteady: Float[np.ndarray, " levels"]
-    light_error: Float[np.ndarray, " levels"]
-    variance_error: float
+    light_error: Float[np.ndarray, " levels"]  # relative error of the light of each level
+    variance_error: float  # relative scatter of the variances for unknown reasons
 
     @property
     def measured(self) -> Float[np.ndarray, "quantities levels"]:

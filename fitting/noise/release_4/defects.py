@@ -44,20 +44,14 @@ class Histogram(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """The number of pixels beyond a number of standard deviations.
+    """The number of pixels beyond a number of standard deviations."""
 
-    Attributes:
-        beyond: threshold, in standard deviations.
-        pixels: number of pixels beyond the threshold.
-        interval: (low, high) ends of the 95 % interval of the share of such pixels in the
-            population (Clopper and Pearson 1934).
-        expected: share of a Gaussian distribution beyond the threshold.
-    """
-
-    beyond: float
-    pixels: int
+    beyond: float  # threshold, in standard deviations
+    pixels: int  # number of pixels beyond the threshold
+    # (low, high) ends of the 95 % interval of the share of such pixels in the population (Clopper
+    # and Pearson 1934)
     interval: tuple[float, float]
-    expected: float
+    expected: float  # share of a Gaussian distribution beyond the threshold
 
 
 def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:

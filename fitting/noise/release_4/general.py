@@ -35,30 +35,21 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class General:
-    """The signal-to-noise ratios of a measured response at each level, and the figures that follow.
+    """The signal-to-noise ratios of a measured response at each level, and the figures that
+    follow."""
 
-    Attributes:
-        light: (levels,) light of the levels below saturation, photons per pixel, or s where photons
-            are unknown.
-        slope: (levels,) R, DN per unit of light.
-        output: (levels,) SNR_y.
-        input: (levels,) SNR_p.
-        total: (levels,) SNR_p with the spatial variance; None without images.
-        input_errors: (levels,) standard errors of SNR_p.
-        nonuniformity: (levels,) s_y / (R mu_p), per cent; None without images.
-        draws: random draws of the figures, by name.
-        values: the figures, by name.
-    """
-
+    # light of the levels below saturation, photons per pixel, or s where photons are unknown
     light: Float[np.ndarray, " levels"]
-    slope: Float[np.ndarray, " levels"]
-    output: Float[np.ndarray, " levels"]
-    input: Float[np.ndarray, " levels"]
+    slope: Float[np.ndarray, " levels"]  # R, DN per unit of light
+    output: Float[np.ndarray, " levels"]  # SNR_y
+    input: Float[np.ndarray, " levels"]  # SNR_p
+    # SNR_p with the spatial variance; None without images
     total: Float[np.ndarray, " levels"] | None
-    input_errors: Float[np.ndarray, " levels"]
+    input_errors: Float[np.ndarray, " levels"]  # standard errors of SNR_p
+    # s_y / (R mu_p), per cent; None without images
     nonuniformity: Float[np.ndarray, " levels"] | None
-    draws: dict[str, Float[np.ndarray, " draws"]]
-    values: dict[str, float]
+    draws: dict[str, Float[np.ndarray, " draws"]]  # random draws of the figures, by name
+    values: dict[str, float]  # the figures, by name
 
 
 def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels levels"]:

@@ -18,19 +18,13 @@ BAND = (0.975, 0.025)
 
 
 class Spectrogram(NamedTuple):
-    """The power spectrum of an image along one direction.
+    """The power spectrum of an image along one direction."""
 
-    Attributes:
-        cycles: (frequencies,) frequency, cycles per pixel, 0 to 1/2.
-        power: (frequencies,) power at each frequency, DN^2.
-        white: median power, DN^2, as an estimate of the power of noise that is independent between
-            pixels.
-        band: (low, high) limits of the power of independent noise, 95 % at each frequency.
-    """
-
-    cycles: Float[np.ndarray, " frequencies"]
-    power: Float[np.ndarray, " frequencies"]
+    cycles: Float[np.ndarray, " frequencies"]  # frequency, cycles per pixel, 0 to 1/2
+    power: Float[np.ndarray, " frequencies"]  # power at each frequency, DN^2
+    # median power, DN^2, as an estimate of the power of noise that is independent between pixels
     white: float
+    # (low, high) limits of the power of independent noise, 95 % at each frequency
     band: tuple[float, float]
 
 

@@ -46,19 +46,13 @@ class Split(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """The shares of variance and of degrees of freedom that remain after the high-pass filter.
+    """The shares of variance and of degrees of freedom that remain after the high-pass filter."""
 
-    Attributes:
-        lines: share of the variance of independent rows or columns that the filter passes.
-        pixels: share of the variance of independent pixels that the filter passes.
-        line_degrees: share of the degrees of freedom of rows or columns that remains.
-        pixel_degrees: share of the degrees of freedom of pixels that remains.
-    """
-
+    # share of the variance of independent rows or columns that the filter passes
     lines: float = 1.0
-    pixels: float = 1.0
-    line_degrees: float = 1.0
-    pixel_degrees: float = 1.0
+    pixels: float = 1.0  # share of the variance of independent pixels that the filter passes
+    line_degrees: float = 1.0  # share of the degrees of freedom of rows or columns that remains
+    pixel_degrees: float = 1.0  # share of the degrees of freedom of pixels that remains
 
 
 @cache

@@ -33,15 +33,11 @@ WIDTH_OF_ERROR = float(np.sqrt(24))  # `Ranges.saturation_width` is the base of 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The share of clipped numbers at each bright level, and their standard deviation.
+    """The share of clipped numbers at each bright level, and their standard deviation."""
 
-    Attributes:
-        at_top: (levels,) share of the values at the end of the scale; 0 where that end is unknown.
-        spread: (levels,) standard deviation over pixels and frames, DN.
-    """
-
+    # share of the values at the end of the scale; 0 where that end is unknown
     at_top: Float[np.ndarray, " levels"]
-    spread: Float[np.ndarray, " levels"]
+    spread: Float[np.ndarray, " levels"]  # standard deviation over pixels and frames, DN
 
 
 def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:

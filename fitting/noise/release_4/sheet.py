@@ -26,20 +26,13 @@ FILTERED, PLAIN = "high-pass (8.1)", "no filter"
 
 @dataclass(frozen=True)
 class Nonuniformity:
-    """DSNU and PRNU from the average frames of a dark and a bright level.
+    """DSNU and PRNU from the average frames of a dark and a bright level."""
 
-    Attributes:
-        dark: the standard's spatial variances of the dark, DN^2.
-        bright: the standard's spatial variances of the bright level, DN^2.
-        signal: mean of the bright level minus that of its dark, DN.
-        dsnu: (draws,) draws of s^2_dark, DN^2, by part.
-        prnu: (draws,) draws of (s^2_50 - s^2_dark) / signal^2, by part.
-    """
-
-    dark: Split
-    bright: Split
-    signal: float
-    dsnu: Mapping[str, Float[np.ndarray, " draws"]]
+    dark: Split  # the standard's spatial variances of the dark, DN^2
+    bright: Split  # the standard's spatial variances of the bright level, DN^2
+    signal: float  # mean of the bright level minus that of its dark, DN
+    dsnu: Mapping[str, Float[np.ndarray, " draws"]]  # draws of s^2_dark, DN^2, by part
+    # draws of (s^2_50 - s^2_dark) / signal^2, by part
     prnu: Mapping[str, Float[np.ndarray, " draws"]]
 
 

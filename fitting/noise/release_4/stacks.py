@@ -37,21 +37,13 @@ from .saturation import Numbers, ranges
 
 @dataclass(frozen=True)
 class Stack:
-    """The average of a level's frames, with their temporal variance and drift.
+    """The average of a level's frames, with their temporal variance and drift."""
 
-    Attributes:
-        image: (h, w) average, DN.
-        noise: sigma^2, the temporal variance, DN^2.
-        drift: variance of the frames' means, DN^2.
-        frames: L, the number of frames.
-        at_top: share of the values at the end of the scale; 0 where that end is unknown.
-    """
-
-    image: Float[np.ndarray, "h w"]
-    noise: float
-    drift: float
-    frames: int
-    at_top: float
+    image: Float[np.ndarray, "h w"]  # average, DN
+    noise: float  # sigma^2, the temporal variance, DN^2
+    drift: float  # variance of the frames' means, DN^2
+    frames: int  # L, the number of frames
+    at_top: float  # share of the values at the end of the scale; 0 where that end is unknown
 
     @property
     def rest(self) -> float:
@@ -61,17 +53,11 @@ class Stack:
 
 @dataclass(frozen=True)
 class Averages:
-    """The average frames of a bright level and of its dark.
+    """The average frames of a bright level and of its dark."""
 
-    Attributes:
-        level: index of the bright level, about half of saturation.
-        lit: frames of this level.
-        unlit: frames of the dark of this level.
-    """
-
-    level: int
-    lit: Stack
-    unlit: Stack
+    level: int  # index of the bright level, about half of saturation
+    lit: Stack  # frames of this level
+    unlit: Stack  # frames of the dark of this level
 
 
 @dataclass(frozen=True)

@@ -56,23 +56,15 @@ def plain(value: Colour | Flat | float) -> Any:
 @dataclass
 class Node:
     """An object of a scene file of another program. A value that no function has read is not
-    supported, which is an error.
+    supported, which is an error."""
 
-    Attributes:
-        tag: what the object is, such as "shape" or "texture".
-        kind: its type, such as "sphere".
-        label: the name of the object in messages.
-        values: parameters by name.
-        parts: nested objects, each with its own name or the name of its reference.
-        old: whether the file is of a version before 2, which has other default values.
-    """
-
-    tag: str
-    kind: str
-    label: str
-    values: dict[str, Any] = field(default_factory=dict)
+    tag: str  # what the object is, such as "shape" or "texture"
+    kind: str  # its type, such as "sphere"
+    label: str  # the name of the object in messages
+    values: dict[str, Any] = field(default_factory=dict)  # parameters by name
+    # nested objects, each with its own name or the name of its reference
     parts: list[tuple[str, "Node"]] = field(default_factory=list)
-    old: bool = False
+    old: bool = False  # whether the file is of a version before 2, which has other default values
     _taken: set[str] = field(default_factory=set)
 
     def wrong(self, what: str) -> InputError:
