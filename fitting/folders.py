@@ -246,7 +246,7 @@ def predict(
     from .noise.prediction.section import section
     from .noise.read import read_photon_transfer
     from .noise.settings import require_one_setting
-    from .noise.sites import camera_of_taps, stated_in_words
+    from .noise.sites import camera_of_taps, stated_in_words, unequal_greens
     from .report.inputs import add_inputs
     from .report.section import section_of_part
 
@@ -269,10 +269,10 @@ def predict(
         )
     if rig is not None:
         require_one_setting(rig, "give the frames of one, and the camera at it")
-    sections = []
+    sections, measurements = [], {}
     for site in ("" if site == "grey" else site for site in sites):
         with step(f"reading frames{f' of {site}' if several else ''}"):
-            measurement = read_photon_transfer(
+            measurement = measurements[site] = read_photon_transfer(
                 path if rig is None else rig, bits=bits, channel=site
             )
         with step(f"predicting them{f' of {site}' if several else ''}"):
@@ -283,7 +283,9 @@ def predict(
         if several:
             found = section_of_part(found, site)
         sections.append(found)
-    return sections, {}
+    first, *others = sections
+    findings = (*unequal_greens(measurements), *first.findings)
+    return [replace(first, findings=findings), *others], {}
 
 
 def _camera_file(camera: str) -> Path:

@@ -28,7 +28,7 @@ from .prediction.predict import predict_own_frames
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, ON_GAIN, QUANTITIES, Quantity
 from .regressions import MISFIT, deviation_quantiles
 from .sensor import write_fitted_sensor
-from .sites import sensor_of_sites, write_sensor_of_sites
+from .sites import sensor_of_sites, unequal_greens, write_sensor_of_sites
 
 # Figures that depend on dark noise, and whether its upper bound gives an upper bound of theirs.
 FROM_DARK_NOISE = {
@@ -119,7 +119,8 @@ def sections_of_sites(
         remarks = sensor_of_sites(calibrations, camera).findings
         records = {"sensor": partial(write_sensor_of_sites, calibrations, camera)}
     first, *others = found
-    tables, findings = (table, *first.tables), (*remarks, *first.findings)
+    greens = unequal_greens({site: one.measurement for site, one in calibrations.items()})
+    tables, findings = (table, *first.tables), (*greens, *remarks, *first.findings)
     return [replace(first, tables=tables, findings=findings, records=records), *others]
 
 

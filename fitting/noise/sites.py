@@ -36,6 +36,7 @@ from ..inference.formatting import format_p
 from ..inference.precision import double_precision
 from ..rig import PARTS, Camera
 from .calibration import NoiseCalibration, refitted
+from .levels import PhotonTransfer
 from .periodic import taps_in_words
 from .regressions import MISFIT
 from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
@@ -53,6 +54,8 @@ COMMON = {
     "brighter_fatter": ("repulsions of charges", 1),
     "pixel_mixing": ("mixings of neighbours", 0),
 }
+COLOUR_SITES = ("red", "green 1", "green 2", "blue")
+UNEQUAL_GREENS = 0.1  # logarithm of a ratio of the two green signals that no filters have
 OWN_NAMES = ("system_gain", "black_level", "responsivity", "signal_rate", "read_noise")
 
 
@@ -370,3 +373,25 @@ def _join_taps(
         return replace(each[widest], taps=taps, offset=jnp.mean(offsets), **means)
 
     return eqx.filter_vmap(join_sensor)(sensors, rates)
+
+
+def unequal_greens(measurements: Mapping[str, PhotonTransfer]) -> tuple[str, ...]:
+    """Return a sentence if the signals of mosaic sites, whose `measurements` are by name, show
+    another phase: the green sites differ, and the red and blue sites hardly do."""
+    signals = {}
+    for site in COLOUR_SITES:
+        if (own := measurements.get(site)) is None:
+            return ()
+        dark = np.asarray(own.dark.mean)[np.asarray(own.dark_of)]
+        per_light = (np.asarray(own.bright.mean) - dark) / np.asarray(own.bright.light)
+        signals[site] = max(float(np.median(per_light)), np.finfo(float).tiny)
+    red, first, second, blue = (signals[site] for site in COLOUR_SITES)
+    apart, others = abs(np.log(second / first)), abs(np.log(blue / red))
+    if apart < UNEQUAL_GREENS or others > apart / 4:
+        return ()
+    return (
+        f"The green 2 sites have {second / first:.2f} times the signal of the green 1 sites, and "
+        f"the blue sites {blue / red:.2f} times that of the red sites, as if these were the green "
+        "ones: the frames are mirrored, rotated or cropped, or the mosaic has another phase than "
+        "camera.pattern says. The names of all sites are then wrong.",
+    )

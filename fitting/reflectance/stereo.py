@@ -269,6 +269,7 @@ def photometric_stereo(
     infinite = np.isinf(stack)
     missing = _infinite_finding(int(infinite.sum())) if infinite.any() else ()
     stack = np.where(infinite, np.nan, stack)
+    missing += _wrapped_finding(plain_numbers("images", images))
     labels, toward = _checked_materials(stack, model, materials, viewer)
     together = None if covariance is None else _common_errors(covariance, len(stack))
     clipped: tuple[str, ...] = ()
@@ -649,6 +650,24 @@ def _infinite_finding(count: int) -> tuple[str, ...]:
     )
 
 
+def _wrapped_finding(images: ArrayLike) -> tuple[str, ...]:
+    """Return a sentence on unsigned integers of which some lie near the largest of their type,
+    apart from all others."""
+    codes = np.asarray(images)
+    if codes.dtype.kind != "u":
+        return ()
+    top = int(np.iinfo(codes.dtype).max)
+    upper = codes > top - top // 16
+    between = (codes > top - top // 4) & ~upper
+    if upper.sum() < FEWEST or between.any() or np.unique(codes[upper]).size < 2:
+        return ()
+    return (
+        f"{upper.sum()} readings are from {codes[upper].min()} to {codes[upper].max()}, far above "
+        f"all others, as where a subtraction of unsigned integers ({codes.dtype}) passes below 0 "
+        "and wraps; convert the images to floating numbers before black is subtracted.",
+    )
+
+
 def _clipped_finding(readings: Readings, top: float) -> str:
     lit, at = np.sum(readings > 0), np.sum(readings >= top)
     return (
@@ -871,6 +890,8 @@ def _check_images(
             f"images (lights, h, w) and lights (lights, 3) do not agree: got {stack.shape} and "
             f"{places.shape}; give one direction an image, and one channel at a time."
         )
+    if not stack.size:
+        raise InputError(f"images have no pixels: got {stack.shape}.")
     strengths = np.ones(len(stack))
     if intensities is not None:
         strengths = np.asarray(plain_numbers("intensities", intensities), float)

@@ -737,3 +737,13 @@ def test_a_raw_colour_mosaic_is_named():
     images = photographs_of_a_ball()
     assert not any("mosaic" in one for one in photometric_stereo(images, EIGHT).findings)
     assert any("mosaic" in one for one in photometric_stereo(images * sites, EIGHT).findings)
+
+
+def test_images_whose_black_was_subtracted_in_unsigned_integers_are_named():
+    codes = np.clip(photographs_of_a_ball() / 8, 0, None).round().astype(np.uint8) + np.uint8(4)
+    dark = np.random.default_rng(1).integers(2, 7, codes.shape).astype(np.uint8)
+    for images, named in ((codes, False), (codes - dark, True)):
+        found = photometric_stereo(images, EIGHT)
+        assert any("passes below 0 and wraps" in one for one in found.findings) == named
+    with pytest.raises(InputError, match="no pixels"):
+        photometric_stereo(np.zeros((8, 0, 5)), EIGHT)
