@@ -228,6 +228,10 @@ def photometric_stereo(
         viewer: (3,) unit vector toward the camera, in the axes of the lights. The vector is used by
             a `model` other than Lambert's, by the comparison with a rough surface, and by the check
             of the axes.
+        white: albedo of a surface that reflects all light, in the unit of the result's albedo, as
+            measured on a white reference in the same light. Interreflection is then removed. None
+            neglects it.
+        white_sd: standard error of `white`.
 
     Returns:
         Normals, albedo and their standard deviations. The standard deviations are computed from the
@@ -242,7 +246,7 @@ def photometric_stereo(
         corrected for such factors or offsets, but the standard deviations include the change that a
         correction would make. If no pixel faces away from a light, an offset is not identifiable
         under lights of equal elevation. On simulated balls under 6 to 96 lights, cones of 95 %
-        contained the true normal in 93 to 98 % of the pixels of a matt ball, in 92 to 100 % of a
+        contained the true normal in 93 to 98 % of the pixels of a matte ball, in 92 to 100 % of a
         glossy one and in 91 to 100 % of a rough one. With a `model`, departures are measured from
         this model, and the standard deviations include the errors of its parameters.
         Interreflection between parts of a surface has the effect of another normal and leaves

@@ -22,6 +22,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import lsqr
 
 from jaxvision import as_vec
+from jaxvision.core.parallel_loops import map_
 from jaxvision.transport.radiosity import point_to_polygon
 
 from .stereo_lights import Images
@@ -122,7 +123,7 @@ def _form_factors(
         polygon = tuple(as_vec(corner[sender]) for corner in corners)
         return point_to_polygon(as_vec(place[receiver]), as_vec(normal[receiver]), polygon)
 
-    return jax.lax.map(lambda pair: jax.vmap(factor)(*pair), (receivers, senders))
+    return map_(lambda pair: jax.vmap(factor)(*pair), (receivers, senders))
 
 
 def _block_means(images: Float[np.ndarray, "n h w"], block: int) -> Float[np.ndarray, "n r c"]:

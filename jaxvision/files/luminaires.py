@@ -143,6 +143,12 @@ def _is_number(word: str) -> bool:
 # ---------------------------------------------------------------- IES
 
 
+def small_luminaire(candela: np.ndarray, vertical: np.ndarray, horizontal: np.ndarray) -> Luminaire:
+    """Return a lamp without size from its intensities (vertical, horizontal), cd, at angles in
+    rad."""
+    return Luminaire(candela, vertical, horizontal, [0.0] * 3, np.nan, np.nan)
+
+
 def _ies(path: Path, lines: list[str]) -> Luminaire:
     heads = [i for i, line in enumerate(lines) if line.strip().upper().startswith("TILT")]
     if not heads:

@@ -7,7 +7,7 @@ module. Lengths are in m, angles in degrees, and radiance in W m^-2 sr^-1.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, is_dataclass, replace
 from typing import Annotated, Any
 
 import jax
@@ -20,7 +20,7 @@ from ...core._kinds import Measured, Photometry, Picture, Table
 from ...core._types import POSITIVE, Colour, Range, members_of
 from ...core._warnings import one_call
 from ...errors import InputError
-from ...lights import Luminaire, kinds
+from ...lights import kinds
 from ...optics import look_at, opencv_view
 from ...scene import (
     Aperture,
@@ -377,7 +377,7 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
         if hint == Colour:
             spectrum = spectrum_of(reading, where, value)
             return band_values(spectrum, bands, folder, quantity=quantity)
-        if hint == Photometry and isinstance(value, Luminaire):
+        if hint == Photometry and is_dataclass(value):  # a lamp that a reader has tabulated
             return value
         if hint == Photometry:
             return read_luminaire(folder.file(value_of(reading, where, str, value)))

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ....core._warnings import warn
-from ....lights import Luminaire
 from ....spectra import LUMINOUS_EFFICACY
 from ...images import read_sky
+from ...luminaires import small_luminaire
 from ..folder import Folder
 from ..nodes import Node
 from ..placement import Affine, keeps_shape, placed
@@ -114,7 +114,7 @@ def _sky(square: np.ndarray, to_world: Affine) -> np.ndarray:
     return found / len(_SAMPLES) ** 2
 
 
-def _luminaire(square: np.ndarray, to_world: Affine) -> Luminaire:
+def _luminaire(square: np.ndarray, to_world: Affine) -> Any:
     """Return a lamp about the world's z axis, whose values at its angles are means over the nearest
     pixels of the square at nine points. The picture's axis is the y axis of the light."""
     size = len(square)
@@ -126,7 +126,7 @@ def _luminaire(square: np.ndarray, to_world: Affine) -> Luminaire:
         phi = horizontal + along * np.pi / size
         found += _nearest(square[..., None], z, phi, axes)[..., 0]
     candela = LUMINOUS_EFFICACY * found / len(_SAMPLES) ** 2
-    return Luminaire(candela, vertical, horizontal, [0.0] * 3, np.nan, np.nan)
+    return small_luminaire(candela, vertical, horizontal)
 
 
 def _nearest(square: np.ndarray, z: np.ndarray, phi: np.ndarray, axes: np.ndarray) -> np.ndarray:
