@@ -66,4 +66,8 @@ from .views import (
     view_ray as view_ray,
 )
 from .vignetting import clear_fraction as clear_fraction
-from .wavefront import wavefront_kernel as wavefront_kernel, zernike as zernike
+from .wavefront import (
+    wavefront_kernel as wavefront_kernel,
+    wavefront_otf as wavefront_otf,
+    zernike as zernike,
+)

@@ -34,7 +34,7 @@ OTHER = words("""
 *.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 *.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar
 *.ray_options.paths *.matte_errors.* *.MatteErrors.* *.maps.Patch.steps
-*.zernike.count *.wavefront_kernel.samples *.Wavefront.samples *.Edges.nodes
+*.zernike.count *.wavefront_kernel.samples *.wavefront_otf.samples *.Wavefront.samples *.Edges.nodes
 *.moving_edges.samples
 """)
 

@@ -53,6 +53,10 @@ EXAMPLES = {
         (1e-7 * BAND, WAVELENGTHS, 8 * ONE, PITCH),
         {"size": 3, "order": 4, "samples": 32},
     ),
+    "optics.wavefront.wavefront_otf": (
+        (BAND / PITCH, 1e-7 * BAND, WAVELENGTHS[0], 8 * ONE),
+        {"samples": 8},
+    ),
     "optics.wavefront.zernike": ((TWO / 10, TWO / 9), {"count": 11}),
     "optics.distortion.distort": ((BENT, ONE, TWO / 10), {}),
     "optics.distortion.distortion_area": ((BENT, ONE, TWO / 10), {}),

@@ -166,6 +166,48 @@ def test_the_transfer_is_the_autocorrelation_of_the_pupil():
         assert abs(found - wanted) < 0.01  # light beyond the kernel is 1 %
 
 
+def test_without_aberrations_the_transfer_is_that_of_the_disc():
+    frequency = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.4], [0.6, -0.79], [1.0, 0.2]]) / (
+        WAVE * 8
+    )
+    otf = jax.jit(optics.wavefront_otf, static_argnames="samples")
+    found = np.asarray(otf(frequency, SHARP, WAVE, 8.0))
+    wanted = optics.diffraction_mtf(np.linalg.norm(frequency, axis=1), WAVE, 8.0)
+    np.testing.assert_allclose(found[:, 0], wanted, atol=1e-7)
+    np.testing.assert_allclose(found[:, 1], 0, atol=1e-7)
+    slit = RectangularAperture(0.5, 0.8)  # (1 - |s| / width) for each side
+    found = otf(frequency[1:3], SHARP, WAVE, 8.0, aperture=slit, samples=4)[:, 0]
+    np.testing.assert_allclose(found, [0.4, 0.4 * 0.5], atol=1e-7)
+    with pytest.raises(ValueError, match="takes a convex aperture, got AnnularAperture"):
+        optics.wavefront_otf(frequency, SHARP, WAVE, 8.0, aperture=AnnularAperture(0.4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aperture", [CircularAperture(), PolygonalAperture(5, angle=0.2)])
+def test_the_transfer_is_the_overlap_of_two_pupils(aperture):
+    """Over a grid of 1500 x 1500 points, by NumPy."""
+    error = WAVE * np.array([0, 0, 0, 0.1, 0.15, 0, 0.05, 0.1, 0, 0, 0.07])
+    side = 1.8 * ((np.arange(1500) + 0.5) / 750 - 1)
+    u, v = np.meshgrid(side, side)
+    turns = 0.2 + (2 * np.arange(5) + 1) * np.pi / 5
+
+    def pupil(x, y):
+        inside = x * x + y * y < 1
+        if isinstance(aperture, PolygonalAperture):
+            sides = [np.cos(a) * x + np.sin(a) * y < np.cos(np.pi / 5) for a in turns]
+            inside = np.all(sides, axis=0)
+        w = np.asarray(optics.zernike(x, y, count=11)) @ error
+        return np.where(inside, np.exp(2j * np.pi * w / WAVE), 0)
+
+    area = np.abs(pupil(u, v)).sum()
+    for shift in ((0.2, 0.0), (0.12, -0.16), (-0.6, 0.3)):
+        overlap = pupil(u - shift[0], v - shift[1]) * np.conj(pupil(u + shift[0], v + shift[1]))
+        wanted = overlap.sum() / area
+        frequency = np.array(shift) / (WAVE * 8)
+        found = np.asarray(optics.wavefront_otf(frequency, error, WAVE, 8.0, aperture=aperture))
+        np.testing.assert_allclose(found, [wanted.real, wanted.imag], atol=3e-4)
+
+
 @pytest.mark.slow
 def test_a_lens_with_a_wavefront_spreads_its_picture():
     lens = {

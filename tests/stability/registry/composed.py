@@ -237,6 +237,7 @@ COMPOSED: dict[str, float] = {
     "optics.resampling.sample_image": 1,
     "optics.resampling.undistort_image": 4,
     "optics.wavefront.wavefront_kernel": 16,
+    "optics.wavefront.wavefront_otf": 16,
     "optics.wavefront.zernike": 4,
     "optics.views.camera_ray": 2,
     "optics.views.chief_slope": 2,
