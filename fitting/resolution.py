@@ -618,7 +618,9 @@ def _nonlinear(result: Resolution, pixels: _Pixels, black: float, raw: bool) -> 
             )
         return
     if min(dark.size, bright.size) > 2:
-        test = stats.ttest_ind(np.log(dark), np.log(bright), equal_var=False, alternative="greater")
+        test: Any = stats.ttest_ind(
+            np.log(dark), np.log(bright), equal_var=False, alternative="greater"
+        )
         if test.pvalue < _CHANCE / 10:
             ratio = np.sqrt(bright.mean() / dark.mean())
             yield (
@@ -639,7 +641,9 @@ def _nonlinear(result: Resolution, pixels: _Pixels, black: float, raw: bool) -> 
     even = np.stack([np.ones(x.size), x / np.abs(x).max(), y / np.abs(y).max()], 1)
     grid = np.linspace(-reach - 3, reach + 3, 1001)
     span = 8 * float(np.ceil((reach + 3) / 8))
-    spread = jax.jit(lambda width: _edge(grid, best | {"blur": width}, result.blur, span))
+    spread = jax.jit(
+        lambda width: _edge(jnp.asarray(grid), best | {"blur": width}, result.blur, span)
+    )
 
     def missed(unknown: np.ndarray) -> np.ndarray:
         """Return residuals after both levels and uneven light, which are linear, are fitted."""

@@ -77,7 +77,7 @@ def share_of_pattern(
         return _of_pixels(np.mean([frame.sample for frame in frames], axis=0, dtype=float))
 
     halves = {i: (pattern(darks[i][::2]), pattern(darks[i][1::2])) for i in {*of_dark[usable]}}
-    square, product, scores, seen = 0.0, 0.0, 0.0, 0.0
+    square, product, seen, scores = 0.0, 0.0, 0.0, [0.0, 0.0]
     for level in usable:
         first, second = halves[of_dark[level]]
         y = pattern(flats[level])
@@ -89,7 +89,7 @@ def share_of_pattern(
             square = square + weight * (x @ z)
             seen = seen + weight * x * z
             product = product + weight * (z @ y)
-            scores = scores + weight * np.stack([z * y, z * x])
+            scores = [scores[0] + weight * z * y, scores[1] + weight * z * x]
     if square < SEEN * np.sqrt(np.sum(seen**2)):
         return None
     share = product / square

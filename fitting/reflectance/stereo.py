@@ -493,14 +493,16 @@ def _without_interreflection(
     readings of the next, first by changes of least squares, then by whole estimates. The standard
     deviations include the error of `white`, the last change, and the difference from facets of
     twice the size."""
-    found, before = first, 0.0
-    g = found.normals * found.albedo[..., None]
+    found, change = first, np.inf
+    last = g = found.normals * found.albedo[..., None]
+    added = before = np.zeros(scene.stack.shape)
     for estimates in range(1, MOST_ESTIMATES + 1):
         start, noise = g, np.nan_to_num(found.normal_sd, nan=SAME)
         for _ in range(MOST_ROUNDS):
-            added = scene.added(g, white)
-            if added is None:
+            received = scene.added(g, white)
+            if received is None:
                 return found, ()
+            added = received
             last, g = g, start - scene.change(start, added - before)
             if not _middle(_rotation(last, g) / noise) >= STILL / 10:
                 break

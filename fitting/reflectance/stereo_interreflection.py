@@ -14,6 +14,7 @@ Source:
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -56,7 +57,7 @@ class Exchange:
         sent = _block_means(images, self.block)[:, self.known]
         received = np.zeros((len(images), *self.known.shape))
         received[:, self.known] = np.nan_to_num(sent) @ self.table.T
-        nearest = ndimage.distance_transform_edt(
+        nearest: Any = ndimage.distance_transform_edt(
             ~self.known, return_distances=False, return_indices=True
         )
         received = received[:, nearest[0], nearest[1]]
@@ -120,8 +121,8 @@ def _form_factors(
     senders: Array,
 ) -> Array:
     def factor(receiver: Array, sender: Array) -> Array:
-        polygon = tuple(as_vec(corner[sender]) for corner in corners)
-        return point_to_polygon(as_vec(place[receiver]), as_vec(normal[receiver]), polygon)
+        a, b, c, d = (as_vec(corner[sender]) for corner in corners)
+        return point_to_polygon(as_vec(place[receiver]), as_vec(normal[receiver]), (a, b, c, d))
 
     return map_(lambda pair: jax.vmap(factor)(*pair), (receivers, senders))
 
@@ -160,7 +161,8 @@ def _integrated(normals: Normals, known: np.ndarray, block: int) -> tuple[np.nda
     )
     height = np.full(known.shape, np.nan)
     height[known] = lsqr(matrix, difference, atol=1e-10, btol=1e-10)[0]
-    return height, ndimage.label(known)[0]
+    parts: Any = ndimage.label(known)
+    return height, parts[0]
 
 
 def _facing(

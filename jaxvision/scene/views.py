@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._shown import Shown
@@ -182,17 +183,19 @@ def _check_view(view: View, **ranges: Range) -> None:
     for size in view.resolution:
         check_count(f"{name}.resolution", size, 1)
     if isinstance(view, Pinhole | ThinLens) and view.distortion is not None:
-        _name_folds(name, view)
+        _name_folds(name, view, view.distortion)
 
 
-def _name_folds(name: str, view: Pinhole | ThinLens) -> None:
-    """Warn of pixels beyond the fold of a known distortion."""
+def _name_folds(name: str, view: Pinhole | ThinLens, distortion: Distortion) -> None:
+    """Warn of pixels beyond the fold of a known distortion of one view."""
     focus = view.focus_distance if isinstance(view, ThinLens) else None
     sizes = view.focal_length, view.pixel_pitch, focus
-    if not all(map(is_known, jax.tree.leaves((sizes, view.distortion)))):
+    if not all(map(is_known, jax.tree.leaves((sizes, distortion)))):
         return
+    if any(map(np.ndim, jax.tree.leaves(sizes))) or distortion.radial.ndim > 1:
+        return  # a batch
     vergence = 1 / float(view.focal_length) - (0.0 if focus is None else 1 / float(focus))
-    share = folded_share(view.distortion, float(view.pixel_pitch) * vergence, view.resolution)
+    share = folded_share(distortion, float(view.pixel_pitch) * vergence, view.resolution)
     if share:
         warn_caller(
             f"{name}.distortion: {100 * share:.2g} % of the pixels lie beyond the fold of the "

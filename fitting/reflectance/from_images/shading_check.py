@@ -112,7 +112,7 @@ def _mosaic_findings(observation: Photographs) -> list[str]:
     mean = np.mean(observation.dn[0] - observation.black, axis=0)
     picture[observation.rows, observation.columns] = mean
     contrast = mosaic_contrast(picture)
-    (channel,) = observation.channels
+    channel = next(iter(observation.channels))
     what, why = "Neighbouring pixels", "as in a raw colour mosaic; give camera.pattern"
     if channel in COLOURS:
         what = f"Neighbouring {channel} pixels"

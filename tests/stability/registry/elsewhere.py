@@ -382,7 +382,14 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(WORDS, "foreign/test_scenes", "transport.missing: missing_light"),
-    Elsewhere(TABLES, "test_optics_distortion", "optics.views: opencv_view"),
+    Elsewhere(
+        TABLES,
+        "test_optics_distortion",
+        """
+            optics.views: opencv_view
+            scene.folds: folded_share
+        """,
+    ),
     Elsewhere(
         DRAWS,
         "test_transport_light test_transport_paths test_hemisphere",
