@@ -522,7 +522,7 @@ class _Channel:
     def evidence(
         self, filters: Float[np.ndarray, "filters bands"]
     ) -> Float[np.ndarray, " filters"]:
-        """Return the logarithm of the evidence of each filter, but for a constant."""
+        """Return the logarithm of the evidence of each filter, up to an additive constant."""
         seen = self.light * filters[:, None, :]
         smooth = _matern(self.apart / np.exp(self.best[1]))[0]
         of_prior = seen @ smooth @ np.swapaxes(seen, 1, 2) + self.light @ self.fine @ self.light.T

@@ -178,8 +178,9 @@ def subtract_line_means(field: np.ndarray) -> np.ndarray:
 
 
 def scaled_to_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
-    """Return the samples of frames, adjusted to one common mean. The signal above black of flats is
-    scaled, because their lamp may flicker. Darks and very unequal flats are shifted instead."""
+    """Return the samples of frames, adjusted to one common mean. In flats, the signal above the
+    black level is scaled, because the lamp may flicker. Darks and very unequal flats are shifted
+    instead."""
     means = np.array([frame.mean for frame in frames])
     middle = float(np.median(means))
     if black is None or np.any(means - black <= MOST * (middle - black)):

@@ -258,8 +258,8 @@ class PhotonTransfer(eqx.Module):
 
     @property
     def saturated(self) -> int | None:
-        """Index of the bright level at the standard's saturation point. None if the variance has no
-        maximum, or if a knee of the response explains the maximum."""
+        """Index of the bright level at the standard's saturation point. None if the variance does
+        not fall above its largest value, or if the response has a knee."""
         return None if self.knee is not None else saturation_index(self.bright)
 
     @property

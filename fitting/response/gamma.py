@@ -60,7 +60,7 @@ SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 class GammaSums(eqx.Module):
     """The sums over all pixels that a fit of gamma needs. With d the visible shutter errors along
-    the axes of their information, chi^2 / 2 is
+    the axes of their information, chi^2 / 2 is, up to a constant and in terms of the fields below,
 
         information gamma^2 / 2 - pull gamma
         + gamma mixed . d + information_d . d^2 / 2 - pull_d . d."""

@@ -51,7 +51,8 @@ def tabulated_lobe(
     material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
 ) -> LobeSampler:
     """Tabulate a material's shading, averaged over bands, and return a sampler that draws from the
-    table. It has rows x columns half vectors for each direction `wo` of the grid phi x theta, rad.
+    table. For each direction `wo` of the grid phi x theta, in rad, the table has rows x columns
+    half vectors.
     The shading is multiplied by `stretch`, the solid angle per unit of area of the square."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)

@@ -6,13 +6,13 @@ One more path segment applies an operator T to the largest radiance L_j of each 
 
 Here rho_i, s_i and m_i are the reflectances of the diffuse part, the specular lobe, and the mirror
 or glass of surface i. A mirror or glass may show the brightest radiance of the scene. F_ij is the
-largest share of the light on the diffuse part of i that can come from j. F_ij is at most 1, and at
-most (R / d)^2 if the bounding ball of j has radius R and distance d from i. F_ij is 0 if i is flat
-and j is entirely behind i. A specular lobe of i may point toward j, which subtends a solid angle of
-at most 2 pi (R / d)^2. The share of the light on this lobe that can come from j is at most G_ij =
-min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i, where f_r cos is the shading of the lobe. The
-shares that one surface receives sum to at most 1. The bound assigns the largest shares to the
-brightest senders. A path from an emitting surface to the eye has one segment. A path from a lamp by
+largest form factor from a point of i to j, by which the diffuse part of i weights the radiance of
+j. F_ij is at most 1, and at most (R / d)^2 if the bounding ball of j has radius R and distance d
+from i. F_ij is 0 if i is flat and j is entirely behind i. A specular lobe of i may point toward j,
+which subtends a solid angle of at most 2 pi (R / d)^2. The lobe weights the radiance of j by at
+most G_ij = min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i, where f_r cos is the shading of the
+lobe. The weights of one surface sum to at most 1. The bound gives the brightest senders their
+largest weights. A path from an emitting surface to the eye has one segment. A path from a lamp by
 one reflection to the eye has two segments. The bound is sharp in open scenes with dark surfaces. In
 a bright closed room the bound is far too large, so that long paths are not dropped.
 """
@@ -217,11 +217,11 @@ def largest(cells: Cells, values: np.ndarray) -> np.ndarray:
 
 def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
     """Return an upper bound on the light that arrives at each of i receiving surfaces, (i, bands),
-    from n sending surfaces of radiance `sent`, (n, bands). The share of the received light that
-    comes from each sender is at most `shares`, (i, n). The shares of one receiver sum to at most 1.
-    The bound assigns shares to the brightest senders first. In a large scene the bound is the
-    radiance of the brightest sender, or the sum of all shares times their radiances if that is
-    less."""
+    from n sending surfaces of radiance `sent`, (n, bands). The light on a receiver is a weighted
+    sum of the senders' radiances. Each weight is at most `shares`, (i, n), and the weights of one
+    receiver sum to at most 1. The bound gives the brightest senders their largest weights. In a
+    large scene the bound is the radiance of the brightest sender, or the sum of all radiances times
+    `shares` if that is less."""
     if shares.size > _ORDERED and np.isfinite(sent).all():
         lit = sent.any(axis=1)
         return np.minimum(shares[:, lit] @ sent[lit], sent.max(0))

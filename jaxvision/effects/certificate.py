@@ -155,8 +155,8 @@ class Effect:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The kept and the dropped effects of a pruned scene and camera, with a bound on their total
-    change.
+    """The kept and the dropped effects of a pruned scene and camera, with a bound on the change of
+    the picture by all dropped effects together.
 
     Attributes:
         kept: the effects that remain, with bounds in `unit`.

@@ -32,8 +32,8 @@ _MAX_RATIO = 0.9  # largest ratio of half the diagonal to the distance
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     """Bound the change of radiance of each cell, (c, bands) W m^-2 sr^-1, if a small light replaces
-    the rectangular light k. Also return the small light, of (bands,) W sr^-1, or None if the
-    rectangular light must not be replaced, and a reason."""
+    the rectangular light k. Also return the small light and a description of the bound. If the
+    rectangular light must not be replaced, return None and the reason instead."""
     nothing = np.zeros((len(sums.seen), sums.spectrum.shape[1]))
     own = sums.sources[k]
     if not own.even:

@@ -251,8 +251,8 @@ def _make_lambertian(i: int, bands: int = 1) -> Drop:
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
-    """Bound the effect of a specular lobe by all of its light. If the lobe is dropped, a Lambertian
-    surface with the same k_d remains."""
+    """Bound the change of the picture if a specular lobe is dropped and a Lambertian surface with
+    the same k_d remains. The bound is the largest radiance that the lobe reflects."""
     material = sums.surfaces[i].low.material
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.lobe_radiance(i))
 

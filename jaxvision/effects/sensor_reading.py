@@ -234,8 +234,9 @@ def _negative_rms(pixel: Pixel, offset: float) -> float:
 
         E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
 
-    where a is the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 +
-    (a o - v)^2), or at the brightest M.
+    where a is the largest gain of a pixel. As M grows, the bound rises up to u = a^2 + sqrt(a^4 +
+    (a o - v)^2) and then falls. If M = 0 has a larger u, or the brightest M a smaller one, the
+    bound is largest there.
     """
     spare = (1 + _TAIL * pixel.high("conversion_prnu")) * pixel.largest_growth
     per_electron = pixel.gain * (1 + _TAIL * pixel.high("column_prnu"))

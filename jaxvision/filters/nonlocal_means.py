@@ -55,8 +55,8 @@ def nonlocal_means_filter(
         profile: weights of D over a patch, "uniform", or "gaussian" with a standard deviation of
             (patch - 1) / 4 pixels.
         cutoff: () no unit; neighbours with a larger exponent have weight 0. None for no cutoff.
-        border: a key of `padding.BORDERS` but "constant"; with "normalised_zero" pixels outside
-            have no weight (and are 0 inside patches).
+        border: any key of `padding.BORDERS` except "constant". With "normalised_zero", pixels
+            outside the picture are not averaged; in the comparison of patches they count as 0.
 
     Returns:
         The result, with the picture's shape and unit.

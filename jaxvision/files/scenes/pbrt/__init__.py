@@ -55,8 +55,8 @@ _NO_EFFECT = ("lightsampler", "rrthreshold", "usemis", "samplelights", "samplebs
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """Convert a pbrt scene to the tables, by name, of a TOML scene file. Raise `InputError` for the
-    first part that is wrong or not supported."""
+    """Convert a pbrt scene to the content of a TOML scene file, a dict of its tables by name. Raise
+    `InputError` for the first part that is wrong or not supported."""
     reader = _Reader(Folder(file))
     for statement in statements_of(file, reader.folder):
         reader.read(statement)
