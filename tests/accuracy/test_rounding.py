@@ -127,6 +127,7 @@ def test_an_operation_that_is_further_off_than_its_last_bit_loses_what_it_loses(
     assert left.fewest == pytest.approx(-np.log10(np.abs(ours / true - 1).max()), abs=1.2)
 
 
+@pytest.mark.slow
 def test_what_is_not_finite_or_zero_is_said_to_be():
     x = np.float32([1.0, -1.0])
     assert str(digits(jnp.log, -x[:1])) == "No result is finite at these arguments."

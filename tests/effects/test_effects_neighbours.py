@@ -124,6 +124,7 @@ def test_a_dark_lamp_hides_the_sky_in_a_mirror():
     assert np.ptp(jv.render(scene, view)) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "least"), [("card", 0.5), ("ball", 0.0)])
 def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
     """Of lamps all about, by pictures in NumPy: what may be left out is in no mirror."""
@@ -172,6 +173,7 @@ def test_an_opening_that_may_change_stays_that_of_the_lens():
     assert abs(whole - left) <= pruned.certificate.total + 1e-4 * whole
 
 
+@pytest.mark.slow
 def test_a_parallel_view_that_may_move_into_a_ball_sees_its_inside():
     ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.3]), two_sided=True)
     scene = jv.Scene(ball, jv.PointLight([0, 0, 0.0], [1.0]))

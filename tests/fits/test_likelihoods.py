@@ -373,6 +373,7 @@ def test_residuals_of_students_far_outliers_are_finite(traced):
             assert np.sign(got) == np.sign(z)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("electrons", [5e4, 1e6, 1e7])
 def test_codes_of_bright_light_keep_their_digits_in_float32(electrons):
     """ln P of the code of every electron, and residuals, where n ln mu - ln n! cancels."""

@@ -104,6 +104,7 @@ def test_a_disc_keeps_a_lamp_out_of_what_it_does_not_reach(method):
         np.testing.assert_allclose(got, by_windows(picture, disc), rtol=1e-4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("unit", [1e-30, 1e-12, 1e-4, 1e12, 1e30])
 def test_mattes_do_not_depend_on_the_unit_of_light(unit):
     rng, unit = np.random.default_rng(4), np.float32(unit)
@@ -124,6 +125,7 @@ def test_mattes_do_not_depend_on_the_unit_of_light(unit):
     assert (matting.least_squares_matte(same, same)[..., 3] == 1).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("unit", [1e-15, 1e-10, 1e18])
 def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
     rng, body = np.random.default_rng(2), np.array([0.8, 0.3, 0.1])
@@ -135,6 +137,7 @@ def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
     np.testing.assert_allclose(halved, light / 2, rtol=1e-6)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("exponent", [-80, -50, 60])
 def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
     """Powers of two scale without rounding, so that nothing but the unit may differ."""
@@ -163,6 +166,7 @@ def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
     assert np.isfinite(black).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("exponent", [-60, 60])
 def test_weights_and_curves_do_not_depend_on_their_unit(exponent):
     """A normalised kernel may have any sum, a curve any unit on both of its axes."""

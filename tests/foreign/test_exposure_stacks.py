@@ -863,6 +863,7 @@ def smooth_scene(seed):
     return 2 * np.exp(1.3 * field / field.std())
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("way", ["aperture", "missing time"])
 def test_a_step_of_the_light_within_a_bracket_is_named(way):
     scene = smooth_scene(0)

@@ -221,6 +221,7 @@ def test_slopes_and_gaps_of_a_long_kernel(border):
     np.testing.assert_array_equal(gap.any(axis=1), abs(np.arange(60) - 30) <= 13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
 def test_half_precision_is_computed_in_float32(dtype):
     """Products and sums that leave float16, or lose its digits, are those of float32."""

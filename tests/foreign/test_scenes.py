@@ -49,6 +49,7 @@ def test_what_finds_all_light_says_nothing():
         assert missing_light(jv.Scene([FLOOR], [LAMP]), integrator=integrator) == []
 
 
+@pytest.mark.slow
 def test_the_camera_behind_glass_is_black_by_light_tracing():
     above = jv.Orthographic([0.0, 0, 1.5], DOWN, 0.01, resolution=(9, 9))
     (said,) = missing_light(BEHIND_GLASS, integrator="light", depth=6, view=above)
@@ -713,7 +714,8 @@ def test_pictures_warn_of_a_surface_near_a_wide_lamp():
     assert float(cured.mean()) == pytest.approx(true, rel=0.03)
 
 
-def test_pictures_of_a_camera_at_nan_are_nan():
+@pytest.mark.parametrize("by_paths", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_pictures_of_a_camera_at_nan_are_nan(by_paths):
     """A black picture would be taken for a dark scene, as by a fit whose step failed."""
     scene = jv.Scene([FLOOR], [LAMP, jv.environment_map(np.ones((2, 4, 1)))])
 
@@ -721,12 +723,13 @@ def test_pictures_of_a_camera_at_nan_are_nan():
     def radiances(position):
         view = jv.Orthographic(position, DOWN, 0.01, resolution=(1, 2))
         ray, key = jv.camera_ray(view, jnp.array(0.0), jnp.array(0.0)), jax.random.key(0)
+        if not by_paths:
+            return (jv.radiance_along(scene, ray),)
         method = Paths(samples=2, depth=2)
         return (
             jv.render(scene, view),
             ray_traced(scene, view),
             path_traced(key, scene, view, method=method).radiance,
-            jv.radiance_along(scene, ray),
             jv.path_radiance(key, scene, ray, method=method).radiance,
         )
 

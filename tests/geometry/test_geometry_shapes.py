@@ -387,6 +387,7 @@ def test_sizes_beyond_the_range_are_named():
         assert problems(as_dtype(Sphere([0, 0, 0], size), jnp.float64)) == []
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_a_ray_that_is_not_finite_has_hits_of_nan(number):
     shapes = [

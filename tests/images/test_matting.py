@@ -170,6 +170,7 @@ def test_laplacian_is_the_paper_s(bands):
     assert np.linalg.eigvalsh(ours).min() > -1e-12
 
 
+@pytest.mark.slow
 def test_affine_in_the_colours_costs_nothing():
     image = picture(8, 9)
     stencil = jax.jit(lambda x: matting_laplacian(x, epsilon=1e-12))(jnp.asarray(image))
@@ -345,6 +346,7 @@ def test_bad_trimaps_are_named():
             matting.closed_form_matte(*call)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [255.0, 1e4])
 def test_the_matte_of_a_bright_picture_is_that_of_its_scaled_copy(scale):
     """In float32 the default epsilon is lost in the rounding of bright pictures: alpha was NaN."""

@@ -23,6 +23,7 @@ def lobed(system="C"):
     return table, vertical, horizontal
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("system", "CBA")
 def test_the_flux_is_the_integral_of_what_arrives(system):
     """Over a sphere about the lamp, cell by cell of the angles between the nodes, by NumPy's own
@@ -68,6 +69,7 @@ def test_the_intensity_at_a_node_and_between_is_bilinear():
     assert np.isfinite(slope).all()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("falloff", ["smooth", "smoothstep", "linear"])
 def test_a_spot_sends_what_its_formula_integrates_to(falloff):
     """The flux through the sphere about it in closed form, and by its own emitted rays."""

@@ -245,6 +245,7 @@ def _form_factor(h):
     return 4 * 2 * x / np.sqrt(1 + x * x) * np.arctan(x / np.sqrt(1 + x * x)) / (2 * np.pi)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("height", [0.01, 1e-6])
 def test_a_light_much_wider_than_its_distance_is_named(height):
     lamp = jv.RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1 / np.pi])

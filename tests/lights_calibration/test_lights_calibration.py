@@ -93,6 +93,7 @@ def check_coverage(kind, seeds):
     return np.abs(np.array(z)), np.array(square), dof
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
 def test_directions_are_off_by_no_more_than_their_covariance_says(kind):
     z, square, dof = check_coverage(kind, range(2))
@@ -153,6 +154,7 @@ def test_what_the_unlit_side_reads_is_taken_off(floor):
         assert float(told[0].split("read ")[1].split()[0]) == pytest.approx(floor, abs=2)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("gamma", [0.9, 1.0, 1.1, 1.2])
 def test_a_small_gamma_of_a_matte_ball_is_found_and_allowed_for(gamma):
     """The outline absorbs its residuals, so that directions were 1.4 to 3.8 degrees off."""

@@ -201,6 +201,7 @@ def test_a_dark_current_of_temperature_is_that_of_its_temperature():
     assert findings(warm) == findings(plain)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("changed", "words"),
     [

@@ -223,6 +223,7 @@ def camera():
     )
 
 
+@pytest.mark.slow
 def test_the_report_says_and_draws_it(camera):
     made = section(camera)
     told = " ".join(made.findings)

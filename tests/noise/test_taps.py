@@ -235,6 +235,7 @@ def structure(seed, tap=ONE, **numbers):
     return periodic_structure(measured, linear_levels(measured))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("tap", "numbers", "taps"),
     [

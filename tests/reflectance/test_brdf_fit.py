@@ -425,6 +425,7 @@ def test_draws_have_the_jackknife_covariance(calibration):
     )
 
 
+@pytest.mark.slow
 def test_a_matt_surface_reports_no_lobe():
     matt = calibrate_brdf(measured("lambert", noise=0.02), model="lambert")
     assert [p.name for p in matt.space] == ["diffuse"]
@@ -452,6 +453,7 @@ def test_a_rough_body_contains_the_smooth_one(calibration, objective, noise):
     assert not [said for said in failed if said.startswith(("Oren-Nayar:", "Phong:"))]
 
 
+@pytest.mark.slow
 def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
     """Of the lead over Lambert's 92.4 %, 48 % is lost without: (68.2 - 45.5) / (92.4 - 45.5)."""
     values = {"lambert": 0.924, "torrance-sparrow": 0.455, "torrance-sparrow-metal": 0.682}

@@ -54,6 +54,7 @@ def is_named(calibration):
     return any("as if the directions to the camera" in one for one in findings(calibration))
 
 
+@pytest.mark.slow
 def test_a_camera_nearby_is_measured_and_named():
     calibration = calibrated(0.1)
     found = estimate(calibration)

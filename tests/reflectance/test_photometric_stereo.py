@@ -723,6 +723,7 @@ def test_three_of_eight_images_of_a_quarter_of_the_exposure_are_left_out():
         assert float(factor) == pytest.approx(0.25, rel=0.005)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("axes", "viewer", "named"),
     [((1, 1, 1), 1, False), ((-1, -1, 1), 1, True), ((1, -1, -1), -1, False)],
@@ -739,6 +740,7 @@ def test_a_raw_colour_mosaic_is_named():
     assert any("mosaic" in one for one in photometric_stereo(images * sites, EIGHT).findings)
 
 
+@pytest.mark.slow
 def test_images_whose_black_was_subtracted_in_unsigned_integers_are_named():
     codes = np.clip(photographs_of_a_ball() / 8, 0, None).round().astype(np.uint8) + np.uint8(4)
     dark = np.random.default_rng(1).integers(2, 7, codes.shape).astype(np.uint8)

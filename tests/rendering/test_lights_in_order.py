@@ -134,6 +134,7 @@ def test_a_street_of_100_lamps_takes_few_shadow_rays(monkeypatch):
     assert sum(traced) * direct.TOGETHER < 0.15 * len(scene.lights) * found[..., 0].size
 
 
+@pytest.mark.slow
 def test_few_lights_few_shapes_and_fits_keep_all_shadow_rays():
     few, view = street(lamps=8, houses=8)
     assert effects.prune(few, view, "1%", level=1.0).threshold is None

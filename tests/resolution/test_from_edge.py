@@ -79,6 +79,7 @@ def test_diffraction_spreads_as_an_airy_pattern():
     assert np.abs(np.asarray(found) - wanted)[np.abs(place) < 5].max() < 4e-3
 
 
+@pytest.mark.slow
 def test_the_free_transfer_is_unbiased_where_noise_hides_it():
     rng, reach = np.random.default_rng(3), 10.0
     distance = rng.uniform(-reach, reach, 900)
@@ -213,6 +214,7 @@ def encoded_edge(gamma, seed, *, low=100.0, size=64, noise=(4.0, 0.02)):
     return np.round(4095 * (linear / 1100) ** (1 / gamma))
 
 
+@pytest.mark.slow
 def test_a_gamma_is_told_by_the_shape_of_the_edge():
     """Power and blur within their own errors."""
     told = str(resolution.from_edge(encoded_edge(1.4, 0)))

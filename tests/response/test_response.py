@@ -67,6 +67,7 @@ def test_section_of_a_colour_stack(calibration):
     assert all(sentence.endswith(".") for sentence in section.findings)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("times", "change", "expected"),
     [
@@ -122,6 +123,7 @@ def test_a_notebook_shows_the_section(calibration):
     assert pickle.loads(pickle.dumps(calibration)).section.findings == calibration.section.findings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pure", [True, False])
 def test_the_legend_gives_gamma_its_error_where_it_has_one(calibration, pure):
     """The stack is sRGB's; what is no departure from gamma is made up."""
@@ -146,6 +148,7 @@ def test_pictures_are_drawn(calibration, tmp_path):
         assert (tmp_path / f"{picture.name}.png").stat().st_size > 2000
 
 
+@pytest.mark.slow
 def test_one_exposure_is_drawn_as_the_map_is_where_it_does_not_clip(calibration):
     """By one white and one curve: the two pictures then differ by noise alone."""
     merged, single = (

@@ -420,6 +420,7 @@ def test_a_flat_without_light_is_refused(swapped):
         js.correct(jnp.full(shape, 500.0), SIMPLE, masters=js.Masters(dark=dark, flat=flat))
 
 
+@pytest.mark.slow
 def test_the_mean_of_a_patch_with_saturated_pixels_is_said_to_be_too_low():
     raw = jnp.full((SIDE, SIDE, 1), 900.0).at[:6].set(2.0**14 - 1)
     found = js.correct(raw, replace(SIMPLE, bits=14))

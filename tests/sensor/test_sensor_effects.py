@@ -188,6 +188,7 @@ def test_noise_of_columns_and_frames_against_simulated_frames():
     assert not np.array_equal(found[0], found[1])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["two terms", "spline"])
 def test_moments_behind_a_curve_against_sums_over_counts(name):
     """Exact sums over Poisson's probabilities; the closed form is off by the square of 1 / m."""
@@ -238,6 +239,7 @@ def test_a_light_offset_in_photons_and_in_seconds():
         jv.Sensor(light_offset=jv.ShutterOffset(1e-3))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("stretched", [False, True])
 def test_taps_read_their_own_pixels(stretched):
     taps = jv.Taps(

@@ -168,7 +168,7 @@ def by_counts(electrons, read_noise, gain, offset, bits, well=np.inf):
         (900.0, 3.0, 0.25, 8.0, 8, np.inf, 1e-3),
     ],
 )
-@pytest.mark.sweep("900")
+@pytest.mark.sweep
 def test_faint_light_and_few_bits_have_the_moments_of_counts(
     electrons, read_noise, gain, offset, bits, well, error
 ):
