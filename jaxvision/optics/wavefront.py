@@ -29,6 +29,7 @@ from ..scene import (
     AnnularAperture,
     Aperture,
     CircularAperture,
+    PolygonalAperture,
     RectangularAperture,
 )
 from .aperture import aperture_area, aperture_corners
@@ -237,7 +238,10 @@ def wavefront_otf(
 
 
 def _overlap(
-    aperture: Aperture, along: Float[Array, "2"], shift: Scalar, samples: int
+    aperture: CircularAperture | PolygonalAperture | RectangularAperture,
+    along: Float[Array, "2"],
+    shift: Scalar,
+    samples: int,
 ) -> tuple[Array, Array, Array]:
     """Return nodes u along a direction and v across it of a quadrature over the points of a convex
     aperture that stay inside it when shifted to both sides along u, and their weights."""
