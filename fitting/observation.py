@@ -317,6 +317,8 @@ def mosaic_contrast(picture: Float[np.ndarray, "h w"]) -> float:
         if total.size < FEWEST_BLOCKS:
             continue
         lit = total > DIM * np.quantile(total, 0.95)
+        if not lit.any():
+            continue
         contrast = (one - other)[np.isfinite(one + other)][lit] / total[lit]
         if max(np.mean(contrast > 0), np.mean(contrast < 0)) > SAME_SIGN:
             largest = max(largest, 2 * abs(float(np.median(contrast))))
