@@ -452,7 +452,7 @@ ELSEWHERE = (
         "test_shading_check test_spread test_stated_errors",
         "fitting.reflectance.*",
     ),
-    Elsewhere(STATISTICS, "test_from_edge", "fitting.resolution.*"),
+    Elsewhere(STATISTICS, "test_from_edge test_edge_aberrations", "fitting.resolution.*"),
     Elsewhere(STATISTICS, "test_sensitivities", "fitting.sensitivities.*"),
     Elsewhere(STATISTICS, "test_lights_calibration", "fitting.lights.*"),
     Elsewhere(
