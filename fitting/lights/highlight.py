@@ -58,7 +58,8 @@ def highlight_of(
     if peak - level < max(SEEN * noise, BRIGHT * (clip - level)):
         raise InputError(
             f"{name}: no highlight on the ball; its brightest pixel is {peak - level:.3g} DN above "
-            f"the median of {level:.3g} DN; expose longer, or leave the image out."
+            f"the median of {level:.3g} DN; expose longer, or leave the image out. A matte ball "
+            'has none: give kind = "matte" (--kind matte).'
         )
     places = []
     rows = columns = np.zeros(0, int)

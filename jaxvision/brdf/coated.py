@@ -60,7 +60,7 @@ from ..core._types import (
 )
 from ..core._vector import Direction, Vec, as_vec
 from ..core.parallel_loops import map_
-from ..scene import Material
+from ..scene import Map, Material
 from . import eon, torrance_sparrow
 from ._facet_energy import LARGEST_INDEX, LEAST_INDEX, reflected
 from ._half_vector import reflected as mirrored_by
@@ -119,6 +119,8 @@ class Coated(Material):
                 "is in sr^-1, the albedo over pi."
             )
         eta = self.interface.eta
+        if isinstance(eta, Map):
+            raise ValueError("Coated.interface must have one index, got a Map; map the roughness.")
         if jnp.size(eta) != 1 or (
             is_known(eta) and not LEAST_INDEX <= np.asarray(eta).item() <= LARGEST_INDEX
         ):
@@ -355,8 +357,9 @@ def _bound(x: Ends[Coated]) -> Reflection:
     value if the interface transmits all light. Here b is the largest f_b for a direction that
     leaves the coat, so that a_o <= pi b R. The largest a_o of any direction is at most q = pi B (R
     + g), where B (g + (1 - g) cos) bounds f_b cos, because the integral of r dc is at most (1 + R)
-    / 2. R <= 1 - (1 - M) / eta^2, where M, the reflectance of the interface for uniform light from
-    outside, is at most 0.6 for all indices up to 2.5, also for a rough interface."""
+    / 2; it is also at most the albedo of the body, k_d pi for `Lambert` and `EON`. R <= 1 - (1 - M)
+    / eta^2, where M, the reflectance of the interface for uniform light from outside, is at most
+    0.6 for all indices up to 2.5, also for a rough interface."""
     body = suprema(x.field("body"))
     lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
     eta = least(x.field("interface"), "eta"), most(x.field("interface"), "eta")
@@ -364,6 +367,8 @@ def _bound(x: Ends[Coated]) -> Reflection:
     own = body.body * (1 - body.grazing + body.grazing / down)
     again = 1 - 0.4 / eta[1] ** 2
     left = 1 - np.pi * body.body * (again + body.grazing)
+    if isinstance(x.low.body, Lambert | EON):
+        left = np.maximum(left, 1 - np.pi * most(x.field("body"), "diffuse"))
     further = np.where(left > 0, (np.pi * own) ** 2 * again / np.where(left > 0, left, 1), np.inf)
     whole = (own + further / np.pi) / eta[0] ** 2
     if body.lobe is not None:

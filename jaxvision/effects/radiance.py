@@ -151,7 +151,7 @@ def _mirrored_radiance(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
-    behind = direct_radiance(sums, np.where(extended, sums.spectrum, 0)) * sums.k_mirror
+    behind = times(direct_radiance(sums, np.where(extended, sums.spectrum, 0)), sums.k_mirror)
     shown = within & sums.mirrored[k]
     return picture_maximum(sums, np.where(shown[:, None], behind[sums.cells.surface], 0))
 

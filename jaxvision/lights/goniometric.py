@@ -387,7 +387,8 @@ def _largest_radiance(light: GoniometricAreaLight) -> np.ndarray:
     if light.system != "C":
         return np.full(light.intensity.shape, np.inf)
     vertical, largest = numbers(light.vertical), table.max(1)
-    below = vertical < np.pi / 2 - 1e-6
+    vertical = np.where(np.abs(vertical - np.pi / 2) < 1e-6, np.pi / 2, vertical)  # of float32
+    below = vertical < np.pi / 2
     at_horizon = np.interp(np.pi / 2, vertical, largest, right=0)
     if at_horizon > 1e-12 * table.max():  # more than the rounding of a cosine
         return np.full(light.intensity.shape, np.inf)

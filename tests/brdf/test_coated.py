@@ -271,7 +271,7 @@ def test_bounds_hold():
     bright = jv.Coated(jv.EON([0.9 / np.pi], 0.7), jv.Dielectric([1.33]), 1.0)
     found = brdf.suprema(Ends(bright, bright))
     from_body = EVALUATE(bright, wi, wo) - EVALUATE(brdf.coated._facets(bright), wi, wo)
-    assert float(from_body.max()) <= found.body[0]
+    assert float(from_body.max()) <= found.body[0] < 40 * float(from_body.max())
     rough = MULTIPLE([1.0], 0.8)
     once = jv.TorranceSparrow([0.0], [1.0], 0.8)
     more = (EVALUATE(rough, wi, wo) - EVALUATE(once, wi, wo))[:, 0]

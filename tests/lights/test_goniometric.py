@@ -8,6 +8,7 @@ from scipy import integrate
 
 import jaxvision as jv
 from jaxvision import lights
+from jaxvision.lights.goniometric import _largest_radiance
 
 UP = jnp.array([0.0, 0.0, 1.0])
 
@@ -159,3 +160,17 @@ def test_what_no_lamp_is_is_named():
     upward = jv.Luminaire(even, [0, np.pi], [0.0], [1.0, 1, 0], 100.0, 9.0)
     with pytest.raises(ValueError, match="shines upward too"):
         jv.goniometric_light(upward, [0, 0, 2], opening=True)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_a_lamp_that_is_dark_along_its_plane_has_a_bound(dtype):
+    """The 90 degrees of a file are above pi / 2 in float32."""
+    candela = np.array([170.0, 140, 60, 0])
+    angles = np.radians([0.0, 30, 60, 90])
+    with jax.enable_x64(dtype == jnp.float64):
+        sizes = [0.0] * 3, [0.3, 0, 0], [0, -0.3, 0]
+        numbers = (jnp.asarray(x, dtype) for x in ([1.0], candela[:, None], angles, [0.0]))
+        lamp = jv.GoniometricAreaLight(*sizes, *numbers)
+        found = float(_largest_radiance(lamp)[0])
+    brightest = (candela[:3] / np.cos(angles[:3])).max() / 0.3**2  # at the file's own angles
+    assert brightest <= found < 3 * brightest

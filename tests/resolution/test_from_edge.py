@@ -187,6 +187,8 @@ def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
     angle, width = found.fit.values["angle"], found.fit.values["blur"]
     assert angle == pytest.approx(16.78, abs=0.005)
     assert 2.35482 * width == pytest.approx(2.101, abs=0.003)
+    low, high = next(one for one in found.estimates if one.name == "blur").interval_95
+    assert low <= 2.101 / 2.35482 <= high
     assert "highest value, 204" in " ".join(found.findings)
 
 
