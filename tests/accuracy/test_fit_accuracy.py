@@ -49,7 +49,7 @@ OTHER = words("""
 *.format_within.width *.plain_tables.width *.called_for.tolerance *.bands.bands.draws
 *.bands.thinned_draws.* *.Window.nodes *.refuse_half.count *.prediction.*.draws
 *.posterior_prior.posterior *.as_prior.draws *.refitted.terms *.histogram.steps *.General.draws
-*.fixed_variance.count *.determined_estimates.posterior
+*.fixed_variance.count *.determined_estimates.posterior *.wavefront_from_edges.terms
 *.SensorOfSites.draws *.from_edge.reach *.Photographs.reach *.prior_starts.*
 """)
 

@@ -173,6 +173,7 @@ def test_what_underflows_has_no_digits(lossy, fine, at):
     assert lost.operation.split()[:1] != []
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("x", [1e-3, 1e-5])
 def test_a_small_number_that_is_absorbed_is_lost(x):
     """1e8 + x is 1e8 in float32, and 1 - cos(x) from 1e-4 down is 0: no digit of x is left."""

@@ -80,6 +80,7 @@ def test_the_body_colour_is_found_where_no_highlight_is(red):
     np.testing.assert_allclose(terms(found)[0], body, atol=2e-3 * float(body.max()))
 
 
+@pytest.mark.slow
 def test_dim_pixels_count_little_for_the_body_colour():
     """Fifty dim pixels without any of the illuminant, and bright ones of the body c = (1, 2, 2) / 3
     with highlights on most: two percent of the LIGHT lie below the smallest ratio of the latter."""

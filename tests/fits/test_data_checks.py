@@ -31,6 +31,7 @@ def noisy(seed=0):
     return TRUE + SD * np.random.default_rng(seed).standard_normal(200)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
@@ -85,6 +86,7 @@ def test_copies_among_the_data_are_told():
     assert not any("copies" in one for one in (*missed.failures, *missed.findings))
 
 
+@pytest.mark.slow
 def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
     for data, likelihood in (
         (noisy(), Gaussian(sd=SD)),
@@ -96,6 +98,7 @@ def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
         assert not any("apart" in text or "equal to the" in text for text in found.findings)
 
 
+@pytest.mark.slow
 def test_standard_deviations_that_follow_the_data_are_told():
     """Sum of the data less that of the predictions."""
     counts = np.random.default_rng(1).poisson(9 * TRUE).astype(float)
@@ -129,6 +132,7 @@ def test_poissons_law_fits_few_counts():
     assert abs(float(predicted.sum()) - counts.sum()) < 0.01 * counts.sum()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -165,6 +169,7 @@ def line_far_from_zero(share, seed):
     )
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("share", [1.2, 2000.0])
 def test_data_with_fewer_digits_than_their_noise_needs_are_told(share):
     found = fit(line_far_from_zero(share, 0))

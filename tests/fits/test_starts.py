@@ -125,6 +125,7 @@ def peak(data, **how):
     return Problem(free, narrow, Gaussian(sd=0.1), data, inputs=PEAK, **how)
 
 
+@pytest.mark.slow
 def test_a_start_from_the_data_finds_a_peak_that_one_search_misses():
     data = np.asarray(narrow(2.0, 37.3, PEAK)) + 0.1 * np.random.default_rng(0).standard_normal(400)
     data[100] = np.nan

@@ -446,6 +446,7 @@ def test_codes_brighter_than_those_seen_are_within_their_band(decode):
     assert np.abs(gap[curve.codes == 245]).max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
     """Each kind is predicted from the others: 95 % cover codes 8 to 60 in 94 % or more."""
     bins, rng = code_bins(8, 0.0, 255.0), np.random.default_rng(0)
@@ -880,6 +881,7 @@ def test_a_step_of_the_light_within_a_bracket_is_named(way):
     assert "a factor of 2 at images[4]" in gamma.reason
 
 
+@pytest.mark.slow
 def test_one_wrong_time_is_no_step_of_the_light():
     scene = smooth_scene(0)
     images = eight_bits([scene * (1.5 if i == 3 else 1) for i in range(8)], 1)
@@ -906,6 +908,7 @@ def test_something_that_moves_in_a_bracket_is_named():
         assert all("The radiance map is wrong there" in one for one in said)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("moved", [False, True])
 def test_shot_noise_of_a_linear_stack_is_no_motion(moved):
     """Bright pixels are 2 DN noisy, most are dark; and the same with a body in one image."""

@@ -62,6 +62,7 @@ def test_triangulation_is_exact():
     np.testing.assert_allclose(over(layer, back)[..., :3], SEEN, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_more_backgrounds_beat_two_under_noise_and_are_least_squares():
     """NumPy's solver, pixel by pixel, on the unclipped equations C_o + (1 - alpha) K = C."""
     backs = np.stack([BEHIND, BEHIND_2, BEHIND_3])

@@ -142,6 +142,7 @@ def test_the_middle_of_a_wide_highlight_is_where_its_light_is(sharpness, focal):
         assert np.degrees(np.linalg.norm(toward - light)) < 0.15
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("floor", [0.0, 300.0])
 def test_what_the_unlit_side_reads_is_taken_off(floor):
     """A black level that is not stated, or room light, had turned directions by 3 degrees."""
@@ -220,6 +221,7 @@ def test_an_outline_off_as_a_whole_turns_all_directions_alike():
     assert off.max() < 1
 
 
+@pytest.mark.slow
 def test_through_a_lens_the_outline_is_an_ellipse():
     """A ball of 1 at (1.2, -.7, -8) from a lens of 400 pixels, by rays against a sphere."""
     focal, side = 400.0, 301
@@ -562,6 +564,7 @@ def test_an_image_of_another_depth_black_level_or_gamma_is_left_out(change, at):
     assert np.abs(standardised(found, np.delete(truth, at, axis=0))[0]).max() < 4
 
 
+@pytest.mark.slow
 def test_intensities_and_levels_that_differ_much_are_named():
     images, mask, _, _ = simulated("matte", 0)
     images = [np.maximum(image - 64, 0) for image in images]
@@ -596,6 +599,7 @@ def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, s
     assert any("so its mask was not checked" in s for s in dark.findings)
 
 
+@pytest.mark.slow
 def test_a_ball_that_moved_is_named_in_one_image():
     """By 2 pixels: its light was 13 degrees off, at 2."""
     images, mask, _, _ = simulated("mirror", 0)
@@ -624,6 +628,7 @@ def test_clipping_below_full_scale_is_noticed(kind, top):
     assert not any("count as clipped" in s for s in clean.findings)
 
 
+@pytest.mark.slow
 def test_uneven_room_light_widens_the_directions_of_a_matte_ball():
     """Off by 2.2 to 2.9 degrees, at .01 before."""
     images, mask, truth, _ = simulated("matte", 0, lights=ring(45.0))
@@ -646,6 +651,7 @@ def ring(elevation):
     return np.column_stack([flat, np.full(8, np.cos(away))])
 
 
+@pytest.mark.slow
 def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_loses_a_small_room_light():
     """Many pixels beside its brightest point have one code: they counted as clipped. Room light of
     0.2 % of the signal was below what was subtracted: directions were 4 to 12 deviations off."""
@@ -663,6 +669,7 @@ def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_loses_a_small_room_lig
     assert not any("face away" in sentence for sentence in found.findings)
 
 
+@pytest.mark.slow
 def test_an_image_that_was_rotated_is_left_out():
     """By a quarter turn: its light was 72 degrees off at .06, because the constant that it alone
     asks for is small. The mirror ball's edge moves, and its image is refused."""

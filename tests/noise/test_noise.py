@@ -243,6 +243,7 @@ def test_the_usual_moments_are_left_where_no_fit_can_tell(deviation):
     assert usual_moments_error(np.array([above]), *levels[1:], 1e6).bound >= 0.9 * moved
 
 
+@pytest.mark.slow
 def test_an_ordinary_camera_traces_no_exact_moments_and_no_effect():
     measured = simulate(CameraTruth())
     usable = linear_levels(measured)

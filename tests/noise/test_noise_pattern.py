@@ -124,6 +124,7 @@ def test_a_pattern_of_few_columns_is_not_hidden_under_noise():
     assert found.significant
 
 
+@pytest.mark.slow
 def test_columns_of_independent_offsets_and_gains_are_no_misfit():
     """Their covariance by chance, of one sample of 16 columns, bends s^2 from level to level."""
     rng, columns = np.random.default_rng(3), {"dark_columns": 1.0, "gain_columns": 0.01}

@@ -127,6 +127,7 @@ def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
     np.testing.assert_allclose(of_means, by_hand, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_gain_of_twice_the_stated_one_has_its_size():
     """Also beside a light that is .8 of the stated one."""
     for stated in (1.0, 2.5):
@@ -162,6 +163,7 @@ def test_darks_that_were_subtracted_from_their_frames_are_named():
     assert found.key == "dark_subtraction"
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_the_numbers_of_the_camera_is_said():
     flats, darks = series(5)
     for change, bits, words in (
@@ -266,6 +268,7 @@ def test_halves_of_unequal_gain_are_named(where):
     assert "a mean over all of these pixels" in told
 
 
+@pytest.mark.slow
 def test_light_that_falls_to_the_corners_makes_no_halves():
     """By 70 %, off centre, also with a lamp whose light falls to one side."""
     rows, columns = np.mgrid[-1:1:64j, -1:1:64j]

@@ -172,6 +172,7 @@ def mosaic_sensor(pattern, names):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "shift"),
     [

@@ -54,6 +54,7 @@ def test_without_aberrations_it_is_the_airy_pattern():
         np.testing.assert_allclose(ours, airy, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_with_a_stop_it_is_the_difference_of_two_patterns():
     """U = 2 J1(x) / x - s^2 2 J1(s x) / (s x)."""
     from scipy.special import j1

@@ -291,6 +291,7 @@ def missed(found, normals):
     return off, np.mean((off > 2.448 * found.normal_sd.ravel())[normals[:, 2] > 0.85])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "exposures",
     [
@@ -314,6 +315,7 @@ def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
     assert np.degrees(np.nanmedian(missed(right, normals)[0][normals[:, 2] > 0.85])) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [5, pytest.param(8, marks=pytest.mark.slow)])
 def test_an_image_of_another_exposure_is_left_out_of_few(count):
     lights, normals = ring(count), ball(30).reshape(-1, 3)
@@ -326,6 +328,7 @@ def test_an_image_of_another_exposure_is_left_out_of_few(count):
     assert out < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("brighter", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_right_intensities_that_differ_are_not_called_wrong(brighter):
     """Noise of photons grows with the light, which had passed for a non-Lambertian surface."""
@@ -421,6 +424,7 @@ def test_the_cone_covers_whatever_the_surface(surface, shape, least, lowest):
     assert inside > least
 
 
+@pytest.mark.slow
 def test_copies_are_named():
     readings = READ + RNG.normal(0, 2, READ.shape)
     readings[7] = readings[2]
@@ -540,6 +544,7 @@ def test_normals_that_belong_to_no_surface_in_the_stated_axes_are_named(axes, vi
     assert (said in told) if said else ("surface" not in told and "away" not in told)
 
 
+@pytest.mark.slow
 def test_a_plane_in_noise_is_a_surface_in_any_axes():
     plane = np.broadcast_to(READ[:, 8:9, 8:9], (12, 40, 40))
     noisy = plane + np.random.default_rng(4).normal(0, 3.0, plane.shape)
@@ -712,6 +717,7 @@ def test_a_model_with_a_highlight_leaves_black_shadows_black():
     assert np.median(degrees_off(found)) < 0.3
 
 
+@pytest.mark.slow
 def test_three_of_eight_images_of_a_quarter_of_the_exposure_are_left_out():
     images = photographs_of_a_ball()
     images[5:] /= 4

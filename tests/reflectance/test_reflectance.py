@@ -340,6 +340,7 @@ def log_likelihood_of_pixels(vector, samples):
     return np.where(samples.saturated, above, found).sum()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("width", [1.0, 4.0])
 def test_cells_have_the_mode_and_the_density_of_all_pixels(observation, width):
     """At the mode the slope of each vanishes; two standard errors away, where the density has

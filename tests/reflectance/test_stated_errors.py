@@ -106,6 +106,7 @@ def test_a_turned_light_is_turned_back(fitted, about):
     )
 
 
+@pytest.mark.slow
 def test_lights_are_as_uncertain_as_their_images_show(fitted):
     """Off by four times what its rig says, a light is turned, and counts as that uncertain."""
     observation, fit = fitted

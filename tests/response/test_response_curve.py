@@ -129,6 +129,7 @@ def test_parts_of_jpeg_stacks_agree_within_their_errors():
     assert inside.mean() > 0.9
 
 
+@pytest.mark.slow
 def test_known_shutter_errors_widen():
     """`exposure_sd` of the rig, which nine images cannot tell by themselves: its exponent."""
     _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(11), pixels=4000)
@@ -371,6 +372,7 @@ def test_no_peaks_hide_in_sharp_pictures():
         np.testing.assert_array_equal(clear_of_clipping(codes, 254.5), visible)
 
 
+@pytest.mark.slow
 def test_a_camera_that_sharpens_is_measured_in_flat_places():
     """Sharpening half of the difference to a Gaussian of one pixel, of an S-shaped response."""
     codes = processed_stack(s_shaped, STOPS, np.random.default_rng(3000), sharpened=0.5)

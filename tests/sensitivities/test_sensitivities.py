@@ -106,6 +106,7 @@ def test_wavelengths_of_bands_that_are_off_are_named(off):
         assert float(told.split("bands lie ")[1].split()[0]) == pytest.approx(off, abs=2.5)
 
 
+@pytest.mark.slow
 def test_noise_a_thousand_times_the_stated_one_widens_as_much():
     """Also where the standard deviations are in another unit than the readings."""
     true, covered = camera(NAMES[0]), []

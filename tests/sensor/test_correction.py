@@ -98,6 +98,7 @@ def test_codes_are_corrected_as_their_numbers():
     np.testing.assert_allclose(found, (codes - 100.5) / 0.25, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_frame_at_the_full_well_has_no_numbers():
     """Read noise leaves half of its codes below the well."""
     camera = jv.Sensor(read_noise=6.0, gain=0.25, offset=100.0, full_well=14_000.0, bits=12)

@@ -125,6 +125,7 @@ def test_mixing_shares_electrons_as_a_naive_loop_does():
     np.testing.assert_allclose(1 - np.sum(np.asarray(js.even_mixing(0.2).kernel) ** 2), 0.2)
 
 
+@pytest.mark.slow
 def test_moments_of_mixed_poisson_counts_against_sums_of_the_kernel():
     """V sum w^2, and V sum w(k) w(k + lag); all together V."""
     sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), mixing=jv.Mixing(KERNEL), gain=0.5)
@@ -176,6 +177,7 @@ def test_all_of_them_together_against_simulated_frames():
     assert at(jv.signal_variance, alone, light) > 1.1 * variance
 
 
+@pytest.mark.slow
 def test_noise_of_columns_and_frames_against_simulated_frames():
     sensor = jv.Sensor(read_noise=1.0, column_noise=4.0, frame_noise=3.0)
     uneven = replace(sensor, column_prnu=0.1, conversion_prnu=0.1, gain=2.0, bits=12)
