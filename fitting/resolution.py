@@ -244,10 +244,10 @@ def from_edge(
     """Measure the resolution from the picture of one straight edge, at any angle.
 
     The noise is measured on both sides of the edge. Uneven light and a slight curvature of the edge
-    are fitted if the picture shows them. A gamma that bends the edge spread beyond its noise is
-    found; otherwise a finding says how far one may move the blur, unless the numbers are raw ones
-    of a `sensor`. An edge along the rows or the columns (or at 45 degrees)
-    samples few distances; rotate the chart by about 5 degrees.
+    are fitted if the picture shows them. A finding names a gamma that bends the edge spread beyond
+    its noise. Without such a gamma, a finding gives the change of the blur that a smaller gamma
+    would cause, unless the numbers are raw numbers of a `sensor`. An edge along the rows or the
+    columns (or at 45 degrees) samples few distances; rotate the chart by about 5 degrees.
 
     Args:
         image: (h, w) linear numbers of a region with one edge, or (h, w, bands) of a developed
@@ -339,9 +339,9 @@ def wavefront_from_edges(
 
     Returns:
         The fit. Its parameters "z4", "z5", ... are coefficients in nm; x of the pupil is to the
-            right in the picture and y down. The model holds for errors up to a quarter of a
-            wave (rms). "edge" has seven numbers for each picture: the changes
-            of angle, place, levels, curvature and shading, in standard errors of its own fit.
+        right in the picture and y down. The model holds for errors up to a quarter of a wave (rms).
+        "edge" has seven numbers for each picture: the changes of angle, place, levels, curvature
+        and shading, in standard errors of its own fit.
 
     Raises:
         InputError: for pictures that `from_edge` refuses, for terms that directions and focus of

@@ -361,7 +361,7 @@ def _shifted_in_words(
     if not all(bands.all() for bands in narrow):
         evidence = np.sum(
             [
-                [one.moved(bands, at, shift) for shift in _SHIFTS]
+                [one.evidence_of_shift(bands, at, step) for step in _SHIFTS]
                 for one, bands in zip(fits, narrow, strict=True)
             ],
             axis=0,
@@ -370,6 +370,13 @@ def _shifted_in_words(
         shift = float(np.average(_SHIFTS, weights=weights))
         sd = float(np.sqrt(np.average((_SHIFTS - shift) ** 2, weights=weights)))
         sd = float(np.hypot(sd, np.ptp(_SHIFTS[:2]) / np.sqrt(12)))
+        if max(weights[0], weights[-1]) > weights.max() / 2:
+            return [
+                f"Readings of narrow bands and of broad spectra agree best if the bands lie "
+                f"{1e9 * abs(_SHIFTS[0]):.0f} nm or more "
+                f"{'below' if shift < 0 else 'above'} the stated wavelengths. Correct the "
+                "wavelengths, or check that the readings belong to them."
+            ]
     if abs(shift) > _SURE_OF_SHIFT * sd:
         return [
             f"Readings of narrow bands and of broad spectra agree best if the bands lie "
@@ -528,10 +535,14 @@ class _Channel:
         of_prior = seen @ smooth @ np.swapaxes(seen, 1, 2) + self.light @ self.fine @ self.light.T
         noise = np.diag(self.noise(self.best) ** 2)
         covariance = np.exp(2 * self.best[0]) * of_prior + noise
+        return self._log_density(covariance)
+
+    def _log_density(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the Gaussian density of the readings, up to a constant."""
         left = np.linalg.solve(covariance, self.y[:, None])[..., 0]
         return -(left @ self.y + np.linalg.slogdet(covariance)[1]) / 2
 
-    def moved(self, bands: np.ndarray, at: np.ndarray, shift: float) -> float:
+    def evidence_of_shift(self, bands: np.ndarray, at: np.ndarray, shift: float) -> float:
         """Return the logarithm of the evidence if some readings, of narrow bands, are those of
         wavelengths that differ by a shift in m from the stated ones."""
         places = np.concatenate([at, at + shift])
@@ -541,13 +552,7 @@ class _Channel:
         of_prior = np.exp(2 * self.best[0]) * _matern(apart / np.exp(self.best[1]))[0]
         fine = _FINE**2 * _matern(apart / _FINE_LENGTH)[0]
         noise = np.diag(self.noise(self.best) ** 2)
-        covariance = seen @ of_prior @ seen.T + light @ fine @ light.T + noise
-        return (
-            float(
-                -(self.y @ np.linalg.solve(covariance, self.y)) - np.linalg.slogdet(covariance)[1]
-            )
-            / 2
-        )
+        return float(self._log_density(seen @ of_prior @ seen.T + light @ fine @ light.T + noise))
 
     def _spread(self) -> np.ndarray:
         """Return the covariance of the errors of `best`."""

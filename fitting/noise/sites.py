@@ -383,7 +383,10 @@ def unequal_greens(measurements: Mapping[str, PhotonTransfer]) -> tuple[str, ...
         if (own := measurements.get(site)) is None:
             return ()
         dark = np.asarray(own.dark.mean)[np.asarray(own.dark_of)]
-        per_light = (np.asarray(own.bright.mean) - dark) / np.asarray(own.bright.light)
+        light = np.asarray(own.bright.light)
+        per_light = ((np.asarray(own.bright.mean) - dark)[light > 0]) / light[light > 0]
+        if not per_light.size:
+            return ()
         signals[site] = max(float(np.median(per_light)), np.finfo(float).tiny)
     red, first, second, blue = (signals[site] for site in COLOUR_SITES)
     apart, others = abs(np.log(second / first)), abs(np.log(blue / red))

@@ -1,6 +1,6 @@
 """Estimation of normals under a reflectance model whose parameters all pixels of a material share.
 
-    m_k = E_k (rho n.l_k + pi k_s s(n, l_k; shape))   a lobe on a matt body
+    m_k = E_k (rho n.l_k + pi k_s s(n, l_k; shape))   a lobe on a matte body
     m_k = E_k rho s(n, l_k; shape)                    a rough body
 
 Here m_k is the reading under light k of direction l_k and irradiance E_k, n the normal, rho the

@@ -52,8 +52,8 @@ def tabulated_lobe(
 ) -> LobeSampler:
     """Tabulate a material's shading, averaged over bands, and return a sampler that draws from the
     table. For each direction `wo` of the grid phi x theta, in rad, the table has rows x columns
-    half vectors.
-    The shading is multiplied by `stretch`, the solid angle per unit of area of the square."""
+    half vectors. The shading is multiplied by `stretch`, the solid angle per unit of area of the
+    square."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
 

@@ -397,7 +397,7 @@ def _from_file(
         body_roughness: r of the body, no unit, in [0, 1].
     """
     if body is not None and body_roughness is not None:
-        raise ValueError("body_roughness is that of a matt body; give it within the body.")
+        raise ValueError("body_roughness is that of a matte body; give it within the body.")
     if body is None:
         body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
     return Coated(

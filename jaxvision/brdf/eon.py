@@ -1,4 +1,4 @@
-"""EON, the energy-preserving Oren-Nayar model: a rough matt surface whose facets illuminate each
+"""EON, the energy-preserving Oren-Nayar model: a rough matte surface whose facets illuminate each
 other.
 
     f_r = k_d A (1 + r s / t)                                single reflection (Fujii's form)

@@ -309,8 +309,8 @@ def _step(ray: Ray, change: Ray, hit: Hit) -> Vec:
 def shading_normal(tilted: Vec, flat: Vec, viewer: Vec) -> Vec:
     """Return the normal `tilted` of a normal map, bent toward the shape's normal `flat` so that the
     mirror direction of the viewer is above the surface. Both normals are unit vectors on the
-    viewer's side. Without this bending, a matt surface would be black where the viewer is below the
-    plane perpendicular to `tilted`.
+    viewer's side. Without this bending, a matte surface would be black where the viewer is below
+    the plane perpendicular to `tilted`.
 
     In the plane of both normals, let b be the viewer's angle to `flat`, and a >= 0 the angle of the
     shading normal to `flat`. The mirror direction has the angle 2 a - b, which is at most pi / 2

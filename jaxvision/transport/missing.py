@@ -85,8 +85,8 @@ def missing_light(
     Only `direct` adds ambient light.
 
     The positions of mirrors and glass are not checked, so the named light may be small.
-    Interreflections between matt surfaces, which `direct` and `rays` neglect by definition, are not
-    listed.
+    Interreflections between matte surfaces, which `direct` and `rays` neglect by definition, are
+    not listed.
 
     Args:
         scene: surfaces and lights, not traced.
@@ -418,7 +418,7 @@ def _check_rare_lamps(
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:
-    """Return an estimate of the largest share of paths from a matt surface that hit a light; 1 if
+    """Return an estimate of the largest share of paths from a matte surface that hit a light; 1 if
     unknown."""
     match light:
         case RectangleLight():
@@ -437,9 +437,9 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
 
 
 def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
-    """Return the share of directions from a matt surface that hit a lamp, area / (pi d^2), at most
+    """Return the share of directions from a matte surface that hit a lamp, area / (pi d^2), at most
     1. Here d is the distance between the bounding box of the lamp's corners and that of the nearest
-    matt surface."""
+    matte surface."""
     nearest = np.inf
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:

@@ -47,7 +47,7 @@ def test_the_reflectance_calibration_says_that_it_uses_no_flats():
     flat = UniformLevels(*np.array([[900.0], [360.0], [500.0], [0.1]]), dark=np.array([False]))
     for levels, told in ((None, 0), ((flat,), 1)):
         found = reflectance.calibrate(replace(taken, levels=levels), model="lambert")
-        assert sum("Flats and darks do not count" in s for s in found.section.findings) == told
+        assert sum("Flats and darks are not used" in s for s in found.section.findings) == told
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 from fitting.noise.sites import COLOUR_SITES, unequal_greens
 
-LIGHT = np.linspace(100.0, 1000.0, 5)
+LIGHT = np.linspace(0.0, 1000.0, 5)  # the first is lit by stray light alone
 
 
 def measured(signal):
@@ -34,3 +34,6 @@ def test_another_phase_of_a_mosaic_is_named(signals, named):
     said = unequal_greens(sites)
     assert bool(said) == named
     assert not unequal_greens({"green 1": sites["green 1"]})
+    for own in sites.values():
+        own.bright.light = 0 * LIGHT
+    assert not unequal_greens(sites)

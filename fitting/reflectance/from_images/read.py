@@ -410,7 +410,9 @@ def _drop_unreadable(rig: Rig, load: Load) -> tuple[Rig, Load, list[str]]:
     kept = tuple(light for light in rig.light if light.file not in gone)
 
     def read(path: Path) -> np.ndarray:
-        return stored[path] if path in stored else load(path)
+        """Return an image, which is then kept no longer."""
+        image = stored.pop(path, None)
+        return load(path) if image is None else image
 
     return rig.model_copy(update={"light": kept}), read, [one.sentence for one in odd]
 

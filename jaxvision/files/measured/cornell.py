@@ -46,7 +46,7 @@ def read_cornell(path: str | os.PathLike[str]) -> BRDFSamples:
     usual = float(np.median(table[:, 4:], axis=0).max())
     if len(table) >= MANY and usual * np.pi > BRIGHTEST:
         warn(
-            f"{file}: half of its values are above {usual:.3g} sr^-1, with which a matt surface "
+            f"{file}: half of its values are above {usual:.3g} sr^-1, with which a matte surface "
             f"reflects {usual * np.pi:.0%} of the light; radiance factors (pi f_r) or per cent are "
             "to be converted to f_r."
         )

@@ -1,12 +1,12 @@
 """Convert glTF's materials to the tables `[material.NAME]` of a scene file.
 
-A glTF material of base colour c and metallic factor m mixes a coated matt body and a metal: f = (1
+A glTF material of base colour c and metallic factor m mixes a coated matte body and a metal: f = (1
 - m) ((1 - F) c / pi + F D V) + m F_m D V. Here F is Schlick's reflectance of the coat with F0 =
 ((ior - 1) / (ior + 1))^2, F_m Schlick's reflectance of the metal with F0 = c, D the GGX density of
 alpha = roughness^2, and V Smith's visibility. The specular parts become a `TorranceSparrow` with
 Schlick's F, whose F0 is the mean of the two values of F0, weighted by 1 - m and m. This conversion
-of the specular parts is exact because Schlick's formula is linear in F0. The matt part has the
-factor (1 - F0) at all angles, instead of (1 - F). For an index of 1.5 the matt light is therefore
+of the specular parts is exact because Schlick's formula is linear in F0. The matte part has the
+factor (1 - F0) at all angles, instead of (1 - F). For an index of 1.5 the matte light is therefore
 0.5 % too bright at a viewing angle of 60 degrees, and 2.2 % at 85 degrees. Textures are multiplied
 texel by texel, and the product is interpolated bilinearly. glTF interpolates each texture first and
 multiplies the results. Source: Khronos, glTF 2.0 Specification, appendix B.
@@ -70,7 +70,7 @@ def material_of(file: Gltf, content: Content, material: Material, label: str) ->
     if matt.any():
         warn(
             f"{label}: its coat lets (1 - F0) through at all angles, where glTF takes (1 - F): "
-            "matt light is too bright at grazing angles."
+            "matte light is too bright at grazing angles."
         )
     return {
         "family": "torrance_sparrow",

@@ -183,7 +183,7 @@ def _dielectric(node: Node) -> dict[str, Any]:
 
 
 def _mix(node: Node, named: Callable[[Node, str], Node]) -> dict[str, Any]:
-    """Convert a mixture of matt materials and at most one that has facets."""
+    """Convert a mixture of matte materials and at most one that has facets."""
     names = node.take("materials", tuple)
     if names is None or len(names) != 2:
         raise node.wrong("needs two materials; name them.")
