@@ -103,6 +103,7 @@ def test_least_squares_with_non_negative_factors_against_scipy():
     np.testing.assert_allclose(found.residual, [r for _, r in expected], atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("spectrum", [RED, [0.5, 0.45, 0.4]])
 def test_noise_grows_as_promised(red, spectrum):
     """The standard deviation of both factors is `noise_gain` times that of a band."""

@@ -363,6 +363,7 @@ def test_what_a_bright_body_under_glass_reflects():
     assert got.max() <= 0.9 + 1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("r", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("cos_o", [1.0, 0.5, 0.05, 1e-4])
 def test_white_facets_that_light_each_other_return_all_light(r, cos_o):

@@ -247,6 +247,7 @@ FAR_OFF = np.array([1e6, -1e6, 1e6])
 SUN = jv.PointLight([0, 1e11, 1.5e11], [1e22])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("floor", "place", "lamp"),
     [

@@ -56,6 +56,7 @@ def glints(exponent, f_number):
     return radiance(points).mean(1), radiance(np.zeros((1, 3)))[:, 0]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("exponent", "f_number"), [(100, 2.0), (1000, 2.0), (30, 8.0), (100, 16.0)]
 )
@@ -87,6 +88,7 @@ def test_what_is_matt_looks_the_same_from_all_of_the_lens():
     assert (row.bound, row.place, row.rank) == (0, 0, "exact")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "material",
     [

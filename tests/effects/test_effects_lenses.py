@@ -101,6 +101,7 @@ def test_what_blurs_into_the_picture_is_kept():
     assert "of 50 m and beyond" in rows["view.defocus"].why
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("aperture", APERTURES[3:], ids=repr)
 def test_a_rim_cuts_off_corners_of_the_aperture(aperture):
     """The share of rays through the aperture that the rim stops, counted."""

@@ -110,6 +110,7 @@ def test_diffraction_moves_no_pixel_by_more(n):
         assert rows["view.diffraction"].amount[band] <= 1.01 * worst
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("terms", [{4: 80e-9}, {4: 60e-9, 8: 90e-9}, {2: 150e-9, 11: 120e-9}])
 def test_aberrations_move_no_pixel_by_more(terms):
     """Against sums over the pupil at 5 x 5 places of each pixel; the worst is a lit pixel."""
@@ -141,6 +142,7 @@ def test_aberrations_move_no_pixel_by_more(terms):
     assert rows["view.diffraction"].amount[0] <= 1.01 * worst
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("ends", [(1.8, 5.4), (20.0, 60.0), (0.7, 70.0)])
 def test_diffraction_of_an_opening_that_may_change(ends):
     """Pictures of a lit pixel at 9 openings between the ends, of patterns from far below a pixel to

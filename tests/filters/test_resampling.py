@@ -115,6 +115,7 @@ def test_what_cannot_be_resampled():
         warp(PICTURE, np.zeros((2, 2)), np.zeros((2, 3)))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["linear", "cubic", "lanczos3", "lanczos5"])
 def test_a_bright_pixel_lends_nothing_to_those_that_it_does_not_reach(method):
     """Each pixel is right beside what its own window holds, by sums in NumPy."""

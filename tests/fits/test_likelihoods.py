@@ -112,6 +112,7 @@ ROBUST = StudentT(SD, 3.0, low=-0.5, high=0.4)
 LIKELIHOODS = [Gaussian(SD), StudentT(SD, 3.0), Censored(SD, low=-0.5, high=0.4), ROBUST]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "likelihood", LIKELIHOODS, ids=("Gaussian", "StudentT", "Censored", "ends")
 )

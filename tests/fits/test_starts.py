@@ -138,6 +138,7 @@ def test_a_start_from_the_data_finds_a_peak_that_one_search_misses():
     assert abs(fit(again, starts=1).values["centre"] - 80) < 0.01
 
 
+@pytest.mark.slow
 def test_each_pixel_of_a_map_begins_at_the_start_of_its_data():
     centres = np.array([12.0, 50.5, 93.0])
     images = np.stack([narrow(2.0, c, PEAK) for c in centres], axis=-1)

@@ -135,6 +135,7 @@ def test_a_level_that_saturates_between_others_is_named():
     assert told.startswith("flats[6][0] and flats[6][1] were left out: 100 % of the pixels are sat")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pair", [(6, 9), (6, 7), (1, 13)])
 def test_levels_whose_light_is_exchanged_are_named(pair):
     swapped = list(FLATS)

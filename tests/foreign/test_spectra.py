@@ -240,6 +240,7 @@ def test_metres_are_metres():
         spectrum_to_xyz(np.ones(3), np.array([400e-6, 500e-6, 600e-6]), observer)
 
 
+@pytest.mark.slow
 def test_radio_waves_have_a_black_body():
     with pytest.warns(UserWarning, match="in metres, got 0.9, a radio wave"):
         found = blackbody(np.array([0.9]), 3.0)

@@ -108,6 +108,7 @@ def box_distance_by_faces(origin, direction, half):
     return best, normal
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("rotation", [None, TURN])
 def test_box_against_its_six_faces(rotation):
     half, centre = np.array([0.5, 1.0, 1.5]), np.array([0.3, -0.2, 0.4])

@@ -259,6 +259,7 @@ def test_wrong_shapes_are_named():
         environment_map(np.full((4, 8, 3), 200, np.uint8))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(16, 16, 1), (24, 18, 1), (18, 24, 1)])
 def test_pictures_in_another_projection_are_named(shape):
     """A light probe is square, the cross of a cube 3 by 4 or 4 by 3."""

@@ -335,6 +335,7 @@ def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
             assert "variances" not in noise.predict(file, measured).main_comparison.missed
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pattern", [None, "RGGB"])
 def test_parts_of_a_frame_are_taps(pattern):
     """By the rig and by the record of the sensor alike, in frames of odd sizes too."""

@@ -130,6 +130,7 @@ def test_lights_are_as_uncertain_as_their_images_show(fitted):
     assert set(open_parameters(far, alone)) >= {"specular", "exponent"}
 
 
+@pytest.mark.slow
 def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypatch):
     _, fit = fitted
     uncertain = {"direction_sd": np.full(5, 5e-3)}

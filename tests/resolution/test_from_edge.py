@@ -56,6 +56,7 @@ def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
     assert np.allclose(found, spread(distance, angle, gaussian, disc), atol=2e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.7), ("disc", 2.0)])
 def test_transfer_is_that_of_the_line_spread(shape, blur):
     at, frequency = {"angle": 10.0, "blur": blur}, np.array([0.1, 0.3, 0.6])

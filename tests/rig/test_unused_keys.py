@@ -107,6 +107,7 @@ def numbers(x):
     return str(np.asarray(x).tolist()) if hasattr(x, "shape") else repr(x)  # NaN is as NaN
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", READ)
 def test_what_is_not_said_to_be_unused_changes_what_is_fitted(kind):
     """Keys of the sections that a command reads, each a hundredth larger."""

@@ -85,6 +85,7 @@ def test_narrow_bands_tell_the_curve_where_they_are():
     np.testing.assert_allclose(found.curves.mean, true, atol=0.07)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("off", [-10.0, 0.0, -40.0])
 def test_wavelengths_of_bands_that_are_off_are_named(off):
     """By readings of a chart; bands alone cannot show it, and a finding says how much matters."""

@@ -194,6 +194,7 @@ def share_behind(eps, row, lag, trail):
     return one(lag) if lag < trail else 1 - sum(map(one, range(trail)))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("eps", [1e-6, 1e-3])
 @both_precisions
 def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
