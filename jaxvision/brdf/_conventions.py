@@ -49,7 +49,8 @@ def register_lobe(
     record: type, lobe: Lobe, convention: Convention, bound: Callable[..., Reflection]
 ) -> None:
     """Register a record whose BRDF is `diffuse` (k_d) plus `specular` (k_s) times a lobe.
-    `bound(ends, convention)` returns upper bounds on its shading."""
+    `bound(ends, convention)` returns upper bounds on the shading of a material between two
+    `Ends`."""
 
     def scale_lobe(material: Any, value: Scalar) -> Scalar:
         if convention != "normalised" or lobe.normalisation is None:

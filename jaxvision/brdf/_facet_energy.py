@@ -30,8 +30,9 @@ _NODES, _WEIGHTS = _T**3, 6 * _T**5 * _DT  # for the weight 2 c dc, with c = t^3
 @cache
 def _coefficients(distribution: Distribution) -> tuple[np.ndarray, np.ndarray]:
     """Return the Chebyshev coefficients of the share of light lost, (x, y), and of the reflectance
-    added by roughness, (x, y, index). The axis x stands for a variable of cosine and roughness, y
-    for one of roughness alone."""
+    added by roughness, (x, y, index). Axis x is the order in the variable x of the module, axis y
+    the order in a variable of the roughness alone, and the last axis the order in the logarithm of
+    the index."""
     with np.load(Path(__file__).with_name("facet_energy.npz")) as file:
         return file[f"{distribution}_lost"], file[f"{distribution}_clear"]
 
@@ -88,8 +89,8 @@ def reflected(cosine: Scalar, alpha: Scalar, eta: Colour, distribution: Distribu
     place = jnp.log(jnp.clip(eta, LEAST_INDEX, LARGEST_INDEX) / LEAST_INDEX) / span
     line = by_index @ _chebyshev(place, table.shape[2])
     added = _cosine_basis(cosine, alpha, table.shape[0]) @ line
-    # For facets smoother than fitted, the loss depends on cosine / alpha only, and the change of
-    # Fresnel's reflectance by the tilt of the facets is proportional to alpha.
+    # Below the fitted range of roughness, the loss depends on cosine / alpha only, and the tilt of
+    # the facets changes Fresnel's reflectance in proportion to alpha.
     loss, smoother = lost_energy(cosine, alpha, distribution), alpha / _polynomial(alpha)
     added = (added + loss) * smoother - loss
     return jnp.clip(fresnel_dielectric(jnp.clip(cosine, 0, 1), eta) + added, 0, 1)

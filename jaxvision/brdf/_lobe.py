@@ -30,8 +30,8 @@ ColourOrNeutral = Colour | Float[Array, "1"]
 class PowerLobe(Material):
     """The fields that the records of Phong and Blinn have in common.
 
-    `diffuse`, `specular`: (bands,); a `specular` of shape (1,) is neutral. `exponent`: () >= 0, no
-    unit. `ambient`: (bands,) k_a, no unit, or None.
+    `diffuse`, `specular`: (bands,); a `specular` of shape (1,) applies to all bands. `exponent`: ()
+    >= 0, no unit. `ambient`: (bands,) k_a, no unit, or None.
     """
 
     spectra = ("diffuse",)
@@ -51,8 +51,8 @@ def mirrored(w: Vector) -> Vec:
 
 
 def where_above(height: Scalar, value: Scalars) -> Scalars:
-    """Return `value` if `height`, the z component of a direction, is positive, else 0; NaN if it is
-    NaN."""
+    """Return `value` if `height`, the z component of a direction, is positive, else 0; NaN if
+    `height` is NaN."""
     return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
 
 
@@ -71,13 +71,13 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     """Return the probability of sampling the diffuse part: its share of the total albedo, or 1/2 if
     both albedos are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
-    # relative to the larger one, so that the square of a tiny albedo does not underflow
+    # divided by the larger albedo, so that the square of a tiny albedo does not underflow
     size = jax.lax.stop_gradient(jnp.maximum(body, lobe))
     scale = reciprocal(size)
     body, lobe = body * scale, lobe * scale
     # written as quotients, so that the derivative near a share of 1 or 0 does not cancel
     brighter = ~(body < lobe)
-    mostly = 1 / (1 + lobe / or_one(body, ~(body <= 0.5)))  # the larger one is 1 here
+    mostly = 1 / (1 + lobe / or_one(body, ~(body <= 0.5)))  # the larger albedo is now 1
     little = body / or_one(body + lobe, ~(lobe <= 0.5))
     return jnp.where(size <= 0, 0.5, jnp.where(brighter, mostly, little))
 
@@ -121,11 +121,11 @@ def circles(
     cut by the horizon. The axis has the polar angle theta, with cos(theta) in [0, 1]. Circles with
     alpha < pi / 2 - theta lie above the horizon. Of larger circles, up to pi / 2 + theta, the arc
     |phi| < phi_m lies above the horizon, with cos(phi_m) = -cot(alpha) cot(theta). The result is
-    (alpha, weight) for the complete circles, the same for the cut circles, and (p, q) for the cut
-    circles, with p = cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m =
-    atan2(q, -p). Neither range of alpha is longer than `width`, and the second ends at `end` at the
-    latest. Nodes of the cut circles are transformed by sin^2, because phi_m behaves like a square
-    root at both ends."""
+    (alpha, weight) of the complete circles, (alpha, weight) of the cut circles, and (p, q) of the
+    cut circles, with p = cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m
+    = atan2(q, -p). Neither range of alpha is longer than `width`, and the second ends at `end` at
+    the latest. Nodes of the cut circles are transformed by sin^2, because phi_m behaves like a
+    square root at both ends."""
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
     t, dt, ease, d_ease = (jnp.asarray(a, cos_axis.dtype) for a in (t, dt, ease, d_ease))

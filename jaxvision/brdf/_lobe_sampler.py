@@ -132,7 +132,7 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
 def table_bound(x: Ends[Any]) -> Reflection:
     """Return the largest entry of a table as an upper bound on the BRDF. Linear interpolation never
-    exceeds the entry; extrapolation may, so the bound is then infinite."""
+    exceeds the largest entry. Extrapolation may exceed it, so the bound is then infinite."""
     values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
     body = values.reshape(-1, values.shape[-1]).max(0)
     if getattr(x.low, "outside", "clamp") == "extrapolate":

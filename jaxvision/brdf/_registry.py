@@ -96,17 +96,17 @@ def register(
             32 x 64 directions, good for broad lobes.
         shading: `shading(material, wi, wo)`, (bands,) sr^-1; without it the BRDF times the cosine
             of incidence.
-        bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, for the material at
-            both ends of the range of a fit; without it `effects` neglects nothing that depends on
-            the material.
+        bound: `bound(ends) -> effects.Reflection`, upper bounds on the shading. `ends` contains the
+            material twice, with its free parameters at their smallest and at their largest values.
+            Without `bound`, `effects` drops nothing that depends on the material.
         word: the name of the `family` in scene files. None takes the name of the class in snake
             case; "" excludes the material from scene files.
         from_file: function that makes the record from the keys of a file, if the keys are not the
             fields of the record. The names, defaults and docstring of its parameters define the
             keys; `**fields` takes all other fields of the record.
         isotropic: whether the BRDF depends on the azimuths of `wi` and `wo` only by their
-            difference, or a function that tells this of a material from its structure. A coat over
-            an isotropic body is computed much faster.
+            difference, or a function of the material that returns this flag. A coat over an
+            isotropic body is computed much faster.
 
     Raises:
         ValueError: if only one of `sample` and `pdf` is given.
@@ -155,7 +155,7 @@ def register_delta(
             the unit local direction `w`, a `Vec`. It is also called for rays from below the
             surface, w.z < 0, for which a mirror with an opaque back reflects 0.
         absorption: `absorption(material)`, (bands,) m^-1 of the body behind the surface, or None
-            for a clear body; omit it for a material that encloses no body.
+            for a clear body; omit this function for a material that encloses no body.
         bound, word, from_file: as in `register`.
     """
 
@@ -213,8 +213,8 @@ def suprema(material: Ends[Any]) -> Reflection:
     """Return upper bounds on a material's shading over all directions.
 
     Args:
-        material: the material at both ends of the range of a fit; of a map, the smallest and
-            largest values are used.
+        material: the material twice, with its free parameters at their smallest and at their
+            largest values. A map is replaced by its smallest and largest values.
 
     Returns:
         The suprema, sr^-1; inf for a family without a registered bound.

@@ -30,7 +30,7 @@ class Specular(Shown):
 
     Attributes:
         mirrored: unit, local, on the side of the incoming ray.
-        reflectance: (bands,) or neutral (1,), reflected share of the flux, no unit.
+        reflectance: (bands,) or (1,) for all bands, reflected share of the flux, no unit.
         refracted: unit, local, on the other side; None for an opaque surface.
         transmittance: (bands,) or (1,), transmitted share of the flux, no unit; None where
             `refracted` is None.

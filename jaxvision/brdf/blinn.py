@@ -1,7 +1,7 @@
 """Blinn's model: an ideal diffuse part plus a power of the cosine between normal and half vector.
 
-Three records have the lobe (n.h)^n, where n.h is the cosine between normal and half vector. The
-three multiply the lobe by different factors, like the records of `phong`:
+Three records have the lobe (n.h)^n, where n.h is the cosine between normal and half vector. They
+multiply the lobe by different factors, like the records of `phong`:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Blinn              k_s lobe / cos(theta_i)      k_s lobe                SHADING, as published
@@ -41,7 +41,7 @@ class Blinn(PowerLobe):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 
@@ -58,7 +58,7 @@ class BlinnBRDF(PowerLobe):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 
@@ -77,7 +77,7 @@ class NormalisedBlinn(PowerLobe):
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
         specular: (bands,) k_s, no unit, the lobe's
-            albedo along the normal; of shape (1,) it is neutral.
+            albedo along the normal; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 

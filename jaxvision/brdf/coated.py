@@ -9,18 +9,19 @@ no light, because light that one facet sends to another is counted as transmitte
 directions are wi' and wo', f_b is the body's own BRDF and eta the index of the coat. The interface
 returns the share r(c) of light that reaches it from the body at the cosine c; r = 1 beyond the
 critical angle. A coat of optical depth tau along the normal multiplies the light by exp(-tau / c)
-on each way through, which r includes for both ways. Let a_o be the integral of f_b(w, wo') r c over
-the directions w: the share of the light from wo' that the body reflects and the interface returns.
-R and S are the means of r and of r a_o under uniform light. The light that the interface has
-returned is assumed to be distributed as r, so that the body reflects a_i a_o / (pi R) of it, and
-further reflections form a geometric series of the ratio S / R. This is exact for a Lambertian body
-under a smooth interface. The model is reciprocal if the body is. The coat returns at most the share
-A of the light that its interface transmits, where A is the largest albedo of the body. A white body
-under a coat without absorption reflects all light: to 1e-3 for Lambertian, EON and broad glossy
-bodies, and to 3e-3 for a glossy body of roughness 0.15.
+on each passage; r includes both passages. Let a_o be the integral of f_b(w, wo') r c over the
+directions w: the share of the light from wo' that the body reflects and the interface returns. R
+and S are the means of r and of r a_o under uniform light. The angular distribution of the light
+that the interface returns is assumed to be proportional to r, so that the body reflects a_i a_o /
+(pi R) of it, and further reflections form a geometric series of the ratio S / R. This assumption is
+exact for a Lambertian body under a smooth interface. The model is reciprocal if the body is. The
+coat returns at most the share A of the light that its interface transmits, where A is the largest
+albedo of the body. A white body under a coat without absorption reflects all light: to 1e-3 for
+Lambertian, EON and broad glossy bodies, and to 3e-3 for a glossy body of roughness 0.15.
 
-Sharper bodies return light to directions near the mirrored one, which r does not describe. The
-albedo of metal of reflectance 0.9 under a smooth coat of index 1.5, compared with a random walk:
+If the body has a narrower lobe, the returned light stays near the mirror direction, and the model
+is less accurate. The table compares the albedo of metal of reflectance 0.9, under a smooth coat of
+index 1.5, with a random walk:
 
     roughness of the metal    largest error of the albedo
     0.4                       0.3 %
@@ -32,7 +33,7 @@ albedo of metal of reflectance 0.9 under a smooth coat of index 1.5, compared wi
     (0.05, 0.4)               4 %
     (0.02, 0.2)               6 %
 
-The quadrature of `albedo` does not resolve sharper lobes.
+The quadrature of `albedo` does not resolve narrower lobes.
 
 In the local frame the normal is +z."""
 
@@ -214,10 +215,10 @@ def _returned_share(material: Coated, w: Vec) -> Colour:
     """Return a_o, the share of the light from the direction `w` inside the coat that the body
     reflects and the interface returns to the body, (bands,), no unit.
 
-    An EON body's light has a closed mean over the azimuth, with a kink at the cosine of `w`. The
-    nodes of this sum therefore differ from those of `_further`, where the kinks would coincide with
-    the nodes. For other bodies, two methods are combined: a product quadrature on both sides of the
-    critical angle, which integrates broad lobes, and draws from the body's own sampler, which
+    For an EON body, the mean over the azimuth has a closed form, with a kink at the cosine of `w`.
+    `_further` calls this function at its own nodes, so the sum here uses other nodes than
+    `_further`. For other bodies, two methods are combined: a product quadrature on both sides of
+    the critical angle, which integrates broad lobes, and draws from the body's own sampler, which
     integrate narrow lobes. In each direction the weights of both methods sum to 1 (Veach's power
     heuristic). The draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of
     Quasirandom Sequences", 2018).

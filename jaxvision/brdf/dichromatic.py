@@ -40,7 +40,7 @@ class Dichromatic(Material):
         body: material of one band, the geometry factor m_b in sr^-1.
         interface: material of one band, the geometry factor m_i in sr^-1.
         body_spectrum: (bands,) c_b, no unit.
-        interface_spectrum: (bands,) or neutral (1,), c_i, no unit.
+        interface_spectrum: (bands,) or (1,) for all bands, c_i, no unit.
 
     Raises:
         ValueError: if a geometry factor is a mirror or glass, because `pdf` is 0 for their samples.

@@ -9,7 +9,7 @@ coordinates of a pixel in this plane.
     illuminant unknown           with two materials or more, c_i is the line in which their planes
                                  meet, see `plane_normal` and `illuminant_from_planes`
 
-The separation fails in three cases, which fields of `Separation` reveal:
+The separation fails in three cases:
 
 * Body and illuminant have similar colours (a neutral or metallic body, `angle` near 0). The noise
   of m_b and m_i grows as 1 / sin(angle), which is `noise_gain`. If body and illuminant have the

@@ -47,9 +47,9 @@ class EON(Material):
         diffuse: (bands,) k_d in sr^-1 of the facets, their albedo / pi.
         roughness: () r, no unit, in [0, 1]; 0 is Lambert.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
-        facet_albedo: (bands,) or neutral (1,), no unit, in [0, 1]: albedo of the facets for light
-            that they send to each other. None takes pi k_d, at most 1. A fit with an arbitrary unit
-            of light must give it, because k_d is then not albedo / pi.
+        facet_albedo: (bands,) or (1,) for all bands, no unit, in [0, 1]: albedo of the facets for
+            light that they send to each other. None takes pi k_d, at most 1. Give a value in a fit
+            with an arbitrary unit of light, where k_d is not albedo / pi.
 
     Example:
         >>> up, white = jnp.array([0.0, 0.0, 1.0]), jv.EON([1 / np.pi], 0.8)
@@ -124,7 +124,8 @@ def _bound(x: Ends[EON]) -> Reflection:
     """Return upper bounds on both terms of f_r cos(theta_i). The first term is at most k_d
     (cos(theta_i) + r), because cos(theta_i) s / t is at most 1. The second term is at most k_d r
     c_1^2 / (c_1 - c_2) < 0.4 k_d r. Without the term in s, the shading differs from Lambert's by at
-    most the bound on the second term, because 1 - A <= c_1 r is smaller.
+    most the bound on the second term: the factor A lowers the first term by less, because 1 - A <=
+    c_1 r.
     """
     r = most(x, "roughness")
     further = r * _C1 * _C1 / (_C1 - _C2)

@@ -147,15 +147,15 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     g_squared = contrast + c * c
     passes = ~(g_squared <= 0)
     g = safe_sqrt(g_squared)
-    # The second condition is needed because rounding may decide `passes` differently in different
-    # uses, close to total reflection.
+    # Close to total reflection, rounding may make `passes` differ between its uses, so the second
+    # condition is needed.
     s_sum, p_sum = (or_one(x, passes | (x > 1e-6)) for x in (c + g, square * c + g))
     # divided twice: for equal indices at grazing angles the gradient of the square would overflow
     r_s = contrast / s_sum / s_sum
     r_p = contrast * (c * c * (square + 1) - 1) / p_sum / p_sum
     r_p = jnp.where(jnp.abs(r_p) > 0.5, (square * c - g) / p_sum, r_p)  # far from Brewster's angle
     reflected = (r_s * r_s + r_p * r_p) / 2
-    # if little is transmitted, its share is more precise: 1 - r_s^2 = 4 c g / (c + g)^2
+    # if little is transmitted, the transmitted share 1 - r_s^2 = 4 c g / (c + g)^2 is more precise
     passed = 2 * ((c / s_sum) * (g / s_sum) + (square * c / p_sum) * (g / p_sum))
     return jnp.where(passes, jnp.where(reflected < 0.5, reflected, 1 - passed), 1)
 
@@ -227,7 +227,7 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
 @jax.custom_jvp
 def _schlick(c: Scalar, f0: Colour) -> Colour:
     rest = 1 - c
-    lost = (1 - rest) - c  # the rounding error of `rest`, which its fifth power multiplies by five
+    lost = (1 - rest) - c  # the rounding error of `rest`, multiplied by five in the fifth power
     fourth = jnp.square(jnp.square(rest))
     return f0 + (1 - f0) * (fourth * (rest + 5 * lost))
 

@@ -51,7 +51,7 @@ class GaussianLobe(_Concentrated):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         concentration: () c_s in rad^-1.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. It may
             be the array of k_d itself.
@@ -70,7 +70,7 @@ class GaussianLobeBRDF(_Concentrated):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         concentration: () c_s in rad^-1.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 
@@ -130,7 +130,8 @@ def gaussian_lobe(theta_mirror: Scalars, concentration: Scalars) -> Scalars:
     Args:
         theta_mirror: (...) angle between view and mirror direction, radians in [0, pi], as
             `angle_between` returns it.
-        concentration: (...) rad^-1; the lobe falls to 1/e at its inverse. The arguments broadcast.
+        concentration: (...) c_s in rad^-1; the lobe falls to 1/e at the angle 1 / c_s. The
+            arguments broadcast.
 
     Returns:
         The lobe, not normalised, (...) in [0, 1], no unit.

@@ -90,7 +90,7 @@ def specular(material: Glass, w: Vec) -> Specular:
 
 def _bound(x: Ends[Glass]) -> Reflection:
     """Return upper bounds on the shares of light that glass reflects and transmits, at most 1 in
-    sum. Its diffuse part is 0, because `render` draws glass black."""
+    sum. The diffuse part of glass is 0, because `render` draws glass black."""
     indices = least(x, "index"), most(x, "index")
     return Reflection(np.zeros(1), mirror=np.ones(1), indices=indices)
 

@@ -4,9 +4,9 @@ A table contains f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a g
 isotropic f_r(theta_i, theta_o, phi_o - phi_i; lambda). Between nodes f_r is linear in each angle.
 `outside` determines f_r at polar angles beyond the outermost nodes: the angles are clamped, f_r is
 extrapolated from the last two nodes (never below 0), or f_r is 0. Azimuths are periodic.
-Measurements are not exactly reciprocal. If a table has `reciprocal` set, f_r is the mean of f_r(wi,
-wo) and f_r(wo, wi). Interpolation over these angles blurs narrow lobes between nodes. If the nodes
-are more than a lobe's width apart, `half_difference` resolves them better.
+Measurements are not exactly reciprocal. If `reciprocal` is true, the BRDF is the mean of the
+tabulated f_r(wi, wo) and f_r(wo, wi). Interpolation over these angles blurs narrow lobes between
+nodes. If the nodes are more than a lobe's width apart, `half_difference` resolves them better.
 
 The index `i` stands for the direction toward the light, `o` for the direction toward the viewer. In
 the local frame the normal is +z. Angles are in rad, wavelengths in m, and f_r is in sr^-1 without

@@ -48,8 +48,8 @@ def clamped_roughness(alpha: Alpha) -> Alpha:
 def half_vector(wi: Direction, wo: Direction) -> Vec:
     """Return the unit vector half-way between two unit directions, or zero for opposite directions.
     A facet with this normal mirrors one direction into the other. Rounding rotates the half vector
-    by about eps / cos(theta). In float32, a lobe with alpha cos(theta) < 1e-6 is narrower than this
-    error."""
+    by about eps / cos(theta), where eps is the machine epsilon and theta the polar angle. In
+    float32, a lobe with alpha cos(theta) < 1e-6 is narrower than this error."""
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 

@@ -21,7 +21,7 @@ class Mirror(Material):
     """A perfect mirror with an opaque back.
 
     Attributes:
-        reflectance: (bands,) or neutral (1,), no unit, 1 for a mirror without loss.
+        reflectance: (bands,) or (1,) for all bands, no unit, 1 for a mirror without loss.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [5.0])

@@ -41,7 +41,7 @@ class Phong(PowerLobe):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None. It may
             be the array of k_d itself.
@@ -60,7 +60,7 @@ class PhongBRDF(PowerLobe):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
-        specular: (bands,) k_s in sr^-1; of shape (1,) it is neutral.
+        specular: (bands,) k_s in sr^-1; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 
@@ -80,7 +80,7 @@ class NormalisedPhong(PowerLobe):
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
         specular: (bands,) k_s, no unit, the lobe's
-            albedo along the normal; of shape (1,) it is neutral.
+            albedo along the normal; of shape (1,) for all bands.
         exponent: () n >= 0, no unit.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
 

@@ -11,12 +11,12 @@ light over s. To sample the material, uniform numbers are mapped to positions s 
 these to half vectors by `vndf`. Source: Dupuy & Jakob, "An Adaptive Parameterization for Efficient
 Material Acquisition and Rendering", 2018, equations 6, 7 and 13.
 
-The angles of the tables are those of `wo` here, as in other renderers, because a path starts at the
-eye and samples `wi`. The goniometer illuminated the sample from the tabulated direction, so this
-assumes reciprocity. A stored value contains the cosine of the OTHER direction, theta_i. `shading`
-therefore returns the stored value, and `evaluate` divides it by cos(theta_i). Polar angles extend
-to pi / 2. Negative stored values (colours out of gamut) count as 0. Units: radiance ratios in
-sr^-1, angles in radians.
+The tabulated direction is that of `wo` here, as in other renderers, because a path starts at the
+eye and samples `wi`. In the measurement it was the direction of the light, so this use assumes
+reciprocity. A stored value contains the cosine of the OTHER direction, theta_i. `shading` therefore
+returns the stored value, and `evaluate` divides it by cos(theta_i). Polar angles extend to pi / 2.
+Negative stored values (colours out of gamut) count as 0. Units: radiance ratios in sr^-1, angles in
+radians.
 """
 
 import equinox as eqx
@@ -221,7 +221,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     """Return the share of uniform surrounding light that is reflected to `wo`, (bands,), no unit.
 
     The integral of f_r cos(theta_i) over the hemisphere is computed by the midpoint rule with order
-    x order nodes in s. In this variable the integrand is smooth, because `vndf` maps s to the lobe.
+    x order nodes in s. The integrand is smooth in s, because `vndf` maps s to the lobe.
     """
     wo = as_vec(wo)
     _, turned = _unfold(material, wo, wo)

@@ -3,9 +3,9 @@
     f_r = k_d + k_s F(wo.h) D(h) G(wi, wo) / (4 cos(theta_i) cos(theta_o))
 
 D is a normalised distribution of the half vector h, G the masking and shadowing, and F the exact
-Fresnel reflectance. (Textbooks also give this name to the Gaussian of the mirror angle in
-`gaussian_lobe`.) The model is reciprocal. Light that bounces between facets is lost, so even with F
-= 1 the lobe's albedo falls below 1 for rougher surfaces, unless `multiple_scattering` adds
+Fresnel reflectance. (Textbooks also call the lobe of `gaussian_lobe` Torrance-Sparrow.) The model
+is reciprocal. Light that bounces between facets is lost, so even with F = 1 the lobe's albedo falls
+below 1 for rougher surfaces, unless `multiple_scattering` adds
 
     k_s F_m L_i L_o / (pi L)    F_m = F^2 (1 - L) / (1 - F L)
 
@@ -105,8 +105,8 @@ class TorranceSparrow(Material):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1.
-        specular: (bands,) or neutral (1,), k_s, no unit: 1 for a surface that consists of facets
-            only.
+        specular: (bands,) or (1,) for all bands, k_s, no unit: 1 for a surface that consists of
+            facets only.
         roughness: () alpha, or (2,) along the tangent and across it, no unit; at least 1e-6.
         interface: Fresnel model of the facets, `Dielectric`, `Conductor` or `Schlick`; None for
             reflectance 1.
@@ -141,7 +141,7 @@ class TorranceSparrow(Material):
 
     def __check_init__(self) -> None:
         check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
-        # `self.roughness.max()` would be a tracer inside a trace, even if the numbers are known
+        # inside a trace, `self.roughness.max()` would be a tracer even for known numbers
         largest = np.max(np.asarray(self.roughness)) if is_known(self.roughness) else 0
         if largest > ROUGHEST:
             raise ValueError(

@@ -1,7 +1,8 @@
 """Random rays that leave a light, each with its flux, for light tracing.
 
-The expectation of `flux` times any quantity of a ray is the contribution of the whole light to that
-quantity. Flux is in W, lengths are in m. All functions are for one ray; use `jax.vmap` for many.
+If a quantity is computed for each random ray and multiplied by the ray's `flux`, the expectation is
+the value of that quantity for the whole light. Flux is in W, lengths are in m. All functions are
+for one ray; use `jax.vmap` for many.
 """
 
 import jax.numpy as jnp

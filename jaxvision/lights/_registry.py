@@ -28,8 +28,8 @@ class Incident(Shown):
         irradiance: (bands,) W m^-2 on a surface that faces the light; the cosine of incidence is
             applied by the receiver.
         distance: () m to the light, or None for a light at infinity.
-        density: () sr^-1 of the direction, if it was drawn and its density came with it; 0 where
-            there is no light.
+        density: () sr^-1, sampling density of the direction, 0 where there is no light; None if it
+            was not computed.
 
     Example:
         >>> arriving = jv.incident(jv.PointLight([3, 0, 4], [25.0]), jnp.zeros(3))
@@ -124,13 +124,15 @@ def register(
 
     Args:
         light: the class of the light.
-        incident: `incident(light, point) -> Incident`; at the light itself the distance is 0.
+        incident: `incident(light, point) -> Incident`; at the position of the light the distance is
+            0.
         emitted: `emitted(light, u) -> Emitted`, for light tracing: a ray from the light for `u`,
             (4,) uniform in [0, 1); the mean over `u` must be the emission of the light. If omitted,
             a light at a finite distance emits rays uniformly in all directions, with the flux that
             `incident` implies, and a light at infinity emits parallel rays through the whole scene.
-        bound: `bound(ends) -> effects.Source`, the largest emission, for the light at both ends of
-            the range of a fit; without it `effects` neglects nothing that depends on the light.
+        bound: `bound(ends) -> effects.Source`, an upper bound on the emission. `ends` contains the
+            light twice, with its free parameters at their smallest and at their largest values.
+            Without `bound`, `effects` drops nothing that depends on the light.
         word: the name of the `kind` in scene files. None takes the name of the class in snake case,
             without "Light"; "" excludes the light from scene files.
         from_file: function that makes the light from the keys of a file, if the keys are not the
@@ -160,8 +162,8 @@ def register_extended(
         light: the class of the light.
         seen: `seen(light, ray) -> Seen`.
         sample: `sample(light, point, u) -> Incident`, a map of the unit square, `u` (2,), onto
-            directions toward the light. The irradiance of a sample is radiance over density, so
-            that the mean over the square is the irradiance of the light.
+            directions toward the light. The irradiance of a sample is radiance divided by density,
+            so that the mean over the square is the irradiance of the light.
         pdf: `pdf(light, point, wi)`, () in sr^-1, the density of the directions of `sample`.
         node: a map like `sample`, but smooth in `u`, for quadrature; by default `sample` itself.
         nodes: function from an order of quadrature to static nodes, (n, 2), and weights, (n,).

@@ -24,7 +24,7 @@ from .polygon import nodes_integral, rectangle_irradiance
 from .rectangle import RectangleLight, _nearest_offset
 
 _ORDERS = (2, 3, 4, 6)  # nodes per side; more nodes take as long as the closed form
-_FACTOR = 100.0  # K, exceeded at one in a thousand of the receivers that see the whole light
+_FACTOR = 100.0  # K; one in a thousand of the receivers that see the whole light has a larger error
 
 
 @takes_numbers
@@ -76,7 +76,7 @@ def adaptive_irradiance(
 def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Array:
     def integral_of_order(order: int):
         def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:
-            # in units of the longer edge, so that fourth powers stay in range
+            # lengths in units of the longer edge, so that fourth powers stay in range
             u, v = as_vec(light.edge_u), as_vec(light.edge_v)
             square = jax.lax.stop_gradient(jnp.maximum(dot(u, u), dot(v, v)))
             scale = jax.lax.rsqrt(or_one(square))

@@ -168,9 +168,10 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
     """Return the index of the cell of a cumulative distribution that contains `u`, and the position
-    in the cell as a fraction of its width. `u` stands for an interval between two floats, and the
-    position is the middle of the interval. A position is therefore never on a border, where the
-    density of the neighbouring cell could be used."""
+    in the cell as a fraction of its width. `u` stands for the interval from one multiple of the
+    float resolution to the next, and the position is the middle of this interval. A position is
+    therefore never on the border of two cells, where rounding could select the density of the wrong
+    cell."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]

@@ -17,10 +17,11 @@ from ._samples import light_nodes
 from .environment import EnvironmentMap, environment_node
 from .rules import Quadrature, Rule
 
-# An error of irradiance is reported above this fraction of the environment's largest irradiance; a
-# smooth sky stays below.
+# Errors of the irradiance above this fraction of the environment's largest irradiance are reported.
+# The error for a smooth sky is smaller.
 MISSED = 0.1
-_ROWS = 64  # an environment is interpolated to at least so many rows, or averaged to at most twice
+# An environment is interpolated to at least this number of rows, or averaged to at most twice it.
+_ROWS = 64
 
 
 class Found(NamedTuple):
@@ -94,7 +95,7 @@ def _all_cells(light: EnvironmentMap) -> tuple[np.ndarray, np.ndarray]:
         return _arriving(light, places, np.repeat(weights, columns))
     mean = radiance @ np.full(radiance.shape[-1], 1 / radiance.shape[-1], radiance.dtype)
     power = mean * (4 * np.pi * weights[:, None])
-    # blocks of pixels, each at its middle
+    # the sum over each block of pixels, with the direction of the block's middle
     down, across = (np.arange(0, size, max(1, rows // _ROWS)) for size in (rows, columns))
     power = np.add.reduceat(np.add.reduceat(power, down, axis=0), across, axis=1)
     theta = np.pi / 2 * (down + np.append(down[1:], rows)) / rows

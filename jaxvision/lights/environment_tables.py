@@ -17,10 +17,11 @@ from ..core._numerics import divide, running_sum
 from ..core._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
-# Smallest probability of a pixel with light, in units of the resolution. Errors of the running sums
-# are below 8. For 512 rows of 1024 columns, 3e-3 of the samples are spent on this in float32.
+# Smallest probability of a pixel with light, in units of the resolution. It exceeds the errors of
+# the running sums, which are below 8 units. For 512 rows of 1024 columns in float32, this minimum
+# takes 3e-3 of the samples.
 _LEAST = 16
-_LEAST_ROWS = 16  # of a picture whose shape is looked at
+_LEAST_ROWS = 16  # pictures with fewer rows are not checked for their shape
 
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
@@ -85,10 +86,10 @@ def _tables(
 ) -> tuple[Float[Array, " h_1"], Float[Array, "h w_1"]]:
     """Return the cumulative probabilities of the rows, and of the columns within each row."""
     h, w, _ = picture.shape
-    # Relative to the brightest pixel, so that sums stay within the range of a float. XLA divides by
-    # multiplying with the inverse. Above 8.5e37 the inverse is no normal float32 and counts as 0,
-    # so both numbers are first made smaller. The factor depends on the picture, because XLA would
-    # cancel a constant one.
+    # Values are divided by the brightest pixel, so that sums stay within the range of a float. XLA
+    # divides by multiplying with the inverse. The inverse of a number above 8.5e37 is not a normal
+    # float32 and counts as 0, so both numbers are first made smaller. The factor depends on the
+    # picture, because XLA would cancel a constant one.
     smaller = jnp.where(picture.max() > 1, 2.0**-32, 1).astype(picture.dtype)
     relative = divide(picture * smaller, picture.max() * smaller, otherwise=1)
     brightness = _pixel_means(relative.mean(axis=-1))
@@ -98,7 +99,7 @@ def _tables(
     return _cumulative(row_mass[:, 0] / row_mass.sum()), _cumulative(within)
 
 
-@jax.jit  # compiled separately, so that it uses the rounded tables
+@jax.jit  # compiled separately, so that the density follows from the rounded tables
 def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Float[Array, "h w"]:
     """Return the probability of each pixel divided by its solid angle."""
     solid_angles = jnp.asarray(_solid_angles(len(rows) - 1, columns.shape[1] - 1), rows.dtype)

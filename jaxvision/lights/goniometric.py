@@ -78,7 +78,7 @@ class GoniometricLight(Light):
     Raises:
         ValueError: for angles that do not increase or lie beyond those of the system, as angles in
             degrees do; for values of the distribution below 0 or not finite; for a `rotation` that
-            is none.
+            is not a rotation matrix.
 
     Example:
         >>> down = jnp.array([[1.0], [0.0]])  # bright straight down, dark at the horizon

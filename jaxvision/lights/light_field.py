@@ -36,7 +36,7 @@ class LightFieldLight(Light):
 
     Attributes:
         radiance: (s, t, u, v, bands) W m^-2 sr^-1; the first and last sample of each axis lie on
-            the rims of the windows.
+            the edges of the windows.
         aperture: the window (s, t), one-sided; lengths in m.
         focal: the window (u, v), parallel to the aperture to 1 mrad and not in its plane; lengths
             in m.
@@ -69,7 +69,7 @@ class LightFieldLight(Light):
             _check_windows(self.aperture, self.focal)
 
 
-_PARALLEL = 1e-3  # largest angle between the windows, rad; float32 rounding causes less
+_PARALLEL = 1e-3  # largest angle between the windows, rad; float32 rounding is smaller
 _APART = 1e-5  # smallest distance between their planes, relative to the largest length
 
 

@@ -24,12 +24,12 @@ from .polygon import rectangle_irradiance
 from .rectangle import RectangleLight, rectangle_sample
 from .rules import Quadrature, Rule
 
-# An error of irradiance is reported above this fraction of the irradiance on surfaces that face
-# the light.
+# Errors of the irradiance above this fraction of the irradiance on surfaces that face the light are
+# reported.
 MISSED = 0.1
-_ROUGH = 3  # the largest order that is chosen for speed alone, without a warning
-_NEAR = 1 / 64  # of the longer edge: nearer points share one map of the edge
-_ON = 1e-5  # of the longer edge: surfaces that are nearer bear the rectangle
+_ROUGH = 3  # there is no warning up to this order, which users choose for speed
+_NEAR = 1 / 64  # of the longer edge; `window` maps the edges in the same way for all nearer points
+_ON = 1e-5  # of the longer edge; the rectangle is mounted on a surface that is nearer
 _SIDE = 9  # receivers along each side of a rectangle
 _FACES = 256  # largest number of triangles on which each position of the light is projected
 
@@ -62,9 +62,9 @@ def found_near(
     least: float = 0.0,
 ) -> Near | None:
     """Compare a quadrature of a rectangle with the closed form. If the mean error over the
-    receivers is large, return the receiver with the largest error; else None. `points`: (n, 3) m.
-    `normals`: (n, 3) unit. `least`: receivers at a distance up to this fraction of the longer edge
-    do not count. No ray is traced."""
+    receivers is large, return the receiver with the largest error, otherwise None. `points` are (n,
+    3) m, and `normals` (n, 3) unit. Receivers whose distance is at most `least` times the longer
+    edge are ignored. No ray is traced."""
     corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
     size = max(np.linalg.norm(u), np.linalg.norm(v))
     across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
@@ -122,7 +122,8 @@ def warn_of_near_receiver(
     lights: Sequence[Light], rules: Sequence[Rule], point: Vector, normal: Vector, cure: str
 ) -> None:
     """Warn of the first rectangle whose quadrature finds far too little or too much light at a
-    receiver, m. Traced lights and receivers are not checked. `cure`: a sentence."""
+    receiver, m. Lights and receivers that JAX traces are not checked. `cure` is a sentence that
+    says what to do."""
     point, normal = (as_array(as_vec(x)) for x in (point, normal))
     if not (is_known(point) and is_known(normal)) or point.ndim > 1:
         return
@@ -139,7 +140,8 @@ def warn_of_near_surfaces(
     lights: Sequence[Light], rules: Sequence[Rule], surfaces: Sequence[Surface], cure: str
 ) -> None:
     """Warn of the first rectangle whose quadrature finds far too little or too much light on a
-    surface. Traced lights and surfaces are not checked. `cure`: a sentence."""
+    surface. Lights and surfaces that JAX traces are not checked. `cure` is a sentence that says
+    what to do."""
     known = [s for s in surfaces if all(map(is_known, jax.tree.leaves(s.shape)))]
     for i, light, rule in _sampled_rectangles(lights, rules):
         with jax.ensure_compile_time_eval():
@@ -166,7 +168,8 @@ def found_on_surfaces(
 def _sampled_rectangles(
     lights: Sequence[Light], rules: Sequence[Rule]
 ) -> Iterator[tuple[int, RectangleLight, Quadrature]]:
-    """Yield the rectangles of known numbers that a quadrature samples, with their indices."""
+    """Yield the rectangles that a quadrature samples and JAX does not trace, with their indices and
+    rules."""
     for i, (light, rule) in enumerate(zip(lights, rules, strict=True)):
         if not (isinstance(light, RectangleLight) and isinstance(rule, Quadrature)):
             continue
@@ -175,7 +178,8 @@ def _sampled_rectangles(
 
 
 def _orient_normals(normals: np.ndarray, light: RectangleLight, surface: Surface) -> np.ndarray:
-    """Return the normals of a surface, those of a two-sided one toward the plane of a light."""
+    """Return the normals of a surface, flipped toward the plane of the light if the surface is
+    two-sided."""
     if not surface.two_sided:
         return normals
     u, v = (np.asarray(x, float) for x in (light.edge_u, light.edge_v))
@@ -183,8 +187,8 @@ def _orient_normals(normals: np.ndarray, light: RectangleLight, surface: Surface
 
 
 def _receivers(shape: Shape, light: RectangleLight) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the points of a shape under a grid of positions of a light, (n, 3) m, and their
-    normals, (n, 3) unit, for each flat part."""
+    """Yield, for each flat part of a shape, the points nearest to a grid of positions on a light,
+    (n, 3) m, and their normals, (n, 3) unit."""
     corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
     t = (np.arange(_SIDE) + 0.5) / _SIDE
     places = (corner + t[:, None, None] * u + t[None, :, None] * v).reshape(-1, 3)
@@ -236,7 +240,7 @@ def _unit(x: ArrayLike) -> np.ndarray:
 def _project(
     places: np.ndarray, start: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the feet of perpendiculars on a plane, m, and its normal for each."""
+    """Return the feet of perpendiculars on a plane, m, and the plane's normal for each foot."""
     points = places - ((places - start) @ normal)[:, None] * normal
     return points, np.broadcast_to(normal, points.shape)
 

@@ -20,10 +20,10 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
     instead. The order n depends on the ratio of the distance d to the light's longer side s. The
     samples lie at x = d sinh(t), with t up to q = asinh(s / 2 d) on either side of the foot of the
     perpendicular from the receiver, and the integrand is singular at t = i pi / 2. The error is
-    therefore proportional to rho^(-2 n), with rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2). The constant
-    of proportionality, 100, was measured. This holds if the whole light is above the receiver's
-    horizon. If the light crosses a receiver's horizon, the integrand has a kink and the error is
-    about 1 / (2 n^2).
+    therefore proportional to rho^(-2 n), with rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), if the whole
+    light is above the receiver's horizon. The constant of proportionality, 100, was measured. If
+    the light crosses a receiver's horizon, the integrand has a kink and the error is about 1 / (2
+    n^2).
 
     Args:
         light: the rectangle.

@@ -68,8 +68,8 @@ def _emit(light: PointLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
-    """Return upper bounds on the light of a point lamp, which emits in all directions, or only to
-    the side of `normal` if that is given."""
+    """Return upper bounds on the light of a point lamp. The lamp emits in all directions or, if
+    `normal` is given, to that side only."""
     points = box_corners(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

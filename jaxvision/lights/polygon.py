@@ -27,11 +27,11 @@ from ..geometry.hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight
 
-_SMALL = 0.03  # tan^2 theta; below, ten terms of a series are more accurate than a difference
+_SMALL = 0.03  # tan^2 theta; below it, ten terms of a series are more accurate than a difference
 _TERMS = 10
 
 # Coefficients of arctan(t) / t in powers of t^2 <= 1, with the smallest relative error (Remez, with
-# 60 digits): 2e-8 for numbers of 4 bytes, 5e-18 for 8 bytes.
+# 60 digits): 2e-8 for float32, 5e-18 for float64.
 _ARCTAN_OVER = {
     4: (
         0.9999999848,
@@ -72,8 +72,8 @@ _ARCTAN_OVER = {
 
 def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[Array, "..."]]:
     """Return two masks (narrow, wide) for `angle_over_sine`: where the series for narrow angles is
-    accurate, and where the quotient is. Both masks are false if the two vectors of an angle are
-    opposite within rounding or have no length."""
+    accurate, and where the quotient is accurate. Both masks are false if the two vectors of an
+    angle are opposite within rounding or have no length."""
     smallest = smallest_divisor(square.dtype)
     narrow = (cosine > smallest) & (square < _SMALL * cosine * cosine)
     opposite = (cosine < 0) & (square < (jnp.finfo(square.dtype).eps * cosine) ** 2)
@@ -225,7 +225,8 @@ class _Edge(NamedTuple):
 def _visible_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
     """Return the visible parts of the four edges of a polygon, and the edge that closes the visible
     part along the horizon."""
-    # materialised: several loops could round a height near 0 differently, and cut differently
+    # materialised, because several loops could round a height near 0 differently and disagree on
+    # the cut
     heights = fuse([dot(normal, corner) for corner in corners])
     zero = jnp.zeros_like(normal.x)
     leaving = entering = Vec(zero, zero, zero)

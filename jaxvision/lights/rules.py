@@ -17,17 +17,17 @@ class Quadrature(Shown):
     Use quadrature for diffuse surfaces under area lights, and for gradients without noise.
 
     The error falls exponentially with the order if light and surface are smooth. If the light
-    crosses the surface's horizon, as every sky does, the error falls like 1 / order^2: under a
-    constant sky the error of a diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer
-    area light needs more nodes. Opposite the middle of a square light, order 8 (the default) has a
-    relative error of -1.2e-5 at a distance of a quarter of the light's side, -1.2e-3 at a tenth,
-    -1.9 % at .03 and -34 % at a hundredth (+47 % at other points). Order 32 has an error of -4e-4
-    at a hundredth. `orders.order_for` gives the order that a distance needs, and
+    crosses the surface's horizon, as every sky does, the error falls like 1 / order^2. Under a
+    constant sky the error of a diffuse surface is up to 1.2 % at order 8, and .3 % at 16. An area
+    light near the surface needs more nodes. Opposite the middle of a square light, order 8 (the
+    default) has a relative error of -1.2e-5 at a distance of a quarter of the light's side, -1.2e-3
+    at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other points). Order 32 has an
+    error of -4e-4 at a hundredth. `orders.order_for` gives the order that a distance needs, and
     `adaptive.adaptive_irradiance` chooses the order for many receivers. `irradiance` and the
-    pictures warn of an error above 10 % from order 4 on. Quadrature misses structure that is finer
-    than the distance between nodes:
+    functions that render pictures warn of an error above 10 % from order 4 on. Quadrature misses
+    structure that is finer than the distance between nodes:
 
-      * The sun in a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` then warn.
+      * The sun in a sky. `render`, `ray_traced`, `capture` and `outgoing_radiance` warn of this.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
         side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 % and
         -27 % at 16; and 0, 0 and -3 % at 32. For a Phong lobe with exponent 1000 the error is up to
@@ -87,10 +87,9 @@ class Balanced(Shown):
     """Random samples of light and material, combined by the balance heuristic.
 
     `Balanced` draws one direction from the light, as `MonteCarlo` does, and one from the material's
-    own sampler. Use this rule for glossy lobes, and whenever in doubt. Whether the lobe is smaller
-    or larger than the light, the error is close to that of the better of the two samplers, at the
-    cost of two samples. For `irradiance`, which has no material, the rule is the same as
-    `MonteCarlo`.
+    own sampler. Use this rule for glossy lobes, and if in doubt. The error is close to that of the
+    better of the two samplers, whether the lobe is smaller or larger than the light. Each sample
+    costs two rays. For `irradiance`, which has no material, the rule is the same as `MonteCarlo`.
 
     Attributes:
         key: random key.

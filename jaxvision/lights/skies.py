@@ -202,7 +202,7 @@ def daylight(
     if rows < 16:
         raise ValueError(f"rows must be at least 16, got {rows}.")
 
-    # a whole number, also of NumPy or JAX
+    # a Python, NumPy or JAX whole number
     whole = np.ndim(parameters) == 0 and np.asarray(parameters).dtype.kind in "iu"
 
     def relative(directions: np.ndarray) -> np.ndarray:

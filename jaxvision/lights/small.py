@@ -30,7 +30,7 @@ class SmallLight(Light):
 
     Attributes:
         position: (3,) m.
-        normal: (3,) unit, where it is brightest (its length is ignored).
+        normal: (3,) unit, the brightest direction (its length is ignored).
         intensity: (bands,) W sr^-1 along the normal.
 
     Example:

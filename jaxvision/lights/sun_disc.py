@@ -36,8 +36,8 @@ class SunDisc(Light):
     """A round light at infinity, of uniform radiance.
 
     Attributes:
-        direction: (3,) toward its middle (its length is ignored).
-        irradiance: (bands,) W m^-2 on a surface that faces it.
+        direction: (3,) toward the middle of the disc (its length is ignored).
+        irradiance: (bands,) W m^-2 on a surface that faces the disc.
         radius: () rad, angular radius, above 0 and at most pi / 2; by default the sun's.
 
     Example:

@@ -99,8 +99,8 @@ class Spread(eqx.Module):
 
 def _map_interval(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
     """Return the map to an interval whose ends, in units of `scale`, are a and b. With A =
-    exp(asinh(a)) = a + sqrt(1 + a^2) and B likewise, the span is log(B / A). All sums are of
-    numbers of one sign, also for a short distant interval."""
+    exp(asinh(a)) = a + sqrt(1 + a^2) and B = exp(asinh(b)), the span is log(B / A). All sums are of
+    numbers of equal sign, so nothing cancels even for a short distant interval."""
     a, step = start / scale, length / scale
     b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)

@@ -58,7 +58,7 @@ from .shadows import (
 )
 
 TOGETHER = 256  # rays that trace the lights in the same order
-_LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
+_LARGEST = 256  # each pixel indexes stacked arrays of at most this size
 
 
 def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colour:

@@ -5,7 +5,7 @@
     ray_tree     ray tracing: direct light, mirrors and glass, deterministic
     light_paths  light tracing from the sources: caustics and small lights
     radiosity    diffuse surfaces in patches
-    missing      messages about the light of a scene that an integrator neglects
+    missing      messages about light that an integrator neglects
 
 Each file states which light its integrator includes, and its cost.
 """

@@ -2,10 +2,10 @@
 them: next-event estimation and BRDF sampling.
 
 Next-event estimation picks one emitter uniformly, and a direction toward it. A direction drawn by
-BRDF sampling may hit an emitter by chance. Both estimate the same integral, in which lights do not
+BRDF sampling may hit an emitter by chance. Both ways estimate the same integral. Lights do not
 block other light: shadow rays and paths pass through them. Only a ray from the camera, directly or
-via mirrors and glass, stops at the nearest light. An emissive surface blocks rays. Radiance is in W
-m^-2 sr^-1, lengths are in m, densities in sr^-1. All functions are for one point or ray; use
+via mirrors and glass, stops at the nearest light. An emissive surface blocks all rays. Radiance is
+in W m^-2 sr^-1, lengths are in m, densities in sr^-1. All functions are for one point or ray; use
 `jax.vmap` for many.
 """
 
@@ -43,7 +43,7 @@ from ..lights import (
 from ..scene import Light, Scene, Shape
 
 Strategy = Literal["lights", "surfaces", "balance", "power"]
-LARGEST = 256  # arrays of at most so many numbers are indexed by each ray
+LARGEST = 256  # each ray indexes stacked arrays of at most this size
 
 
 class Emissive(eqx.Module):
@@ -293,13 +293,13 @@ def _shining_surface(
 ) -> tuple[Bool[Array, ""], Scalar]:
     """Return whether a ray hits an emissive side of a surface, and the density, sr^-1, with which
     light sampling would have drawn the direction of the ray."""
-    assert emitters.area is not None  # given if any surface emits
+    assert emitters.area is not None  # not None if any surface emits
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
     shines = (surface >= 0) & (facing > 0)
     nearness = or_one(facing * emitters.area[met], shines)
     density = jnp.where(shines, distance * distance / nearness, 0)
-    return shines, density / max(emitters.count, 1)  # 0 where nothing can be drawn
+    return shines, density / max(emitters.count, 1)  # 0 if no surface can be sampled
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
@@ -315,7 +315,7 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
     `on_purpose` are the densities of the direction, sr^-1, under BRDF and light sampling. This
     weight and `purpose_weight` sum to 1."""
     match strategy:
-        case "lights":  # only emitters that light sampling cannot draw
+        case "lights":  # includes only emitters that light sampling cannot draw
             return jnp.where(jnp.isinf(by_chance) | (on_purpose <= 0), 1, 0).astype(by_chance.dtype)
         case "surfaces":
             return jnp.ones_like(by_chance)
@@ -331,7 +331,7 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | N
             return jnp.ones_like(on_purpose)
         case "surfaces":
             return jnp.where(jnp.isinf(on_purpose), 1, 0).astype(on_purpose.dtype)
-    assert by_chance is not None  # `vertex` was asked to weigh
+    assert by_chance is not None  # `vertex` computed this density
     return _heuristic(strategy, on_purpose, by_chance)
 
 

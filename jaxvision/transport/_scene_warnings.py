@@ -20,7 +20,7 @@ from ..core._warnings import warn_caller
 from ..geometry.checks import warn_if_coarse
 from ..scene import Material, Scene
 
-_ROUNDING = 1e-4  # allows for rounding of an albedo of 1, and for errors of its quadrature
+_ROUNDING = 1e-4  # allows for the rounding and quadrature errors of an albedo of 1
 
 
 def warn_of_scene(scene: Scene) -> None:
@@ -48,7 +48,7 @@ def _largest_albedo(material: Material) -> float:
     found = suprema(Ends(material, material))
     most = np.pi * found.body
     if found.lobe is not None:
-        theta = np.pi / 2 * np.linspace(0, 1, 513) ** 4  # dense about the mirror's direction
+        theta = np.pi / 2 * np.linspace(0, 1, 513) ** 4  # dense about the mirror direction
         one = np.ones_like(theta)[None]
         half = np.cos(theta / 2)[None]
         lobe = found.lobe.most(Angles(theta[None], half, half, np.cos(theta)[None], one, one))

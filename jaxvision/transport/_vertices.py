@@ -47,7 +47,7 @@ from ..rendering.maps import Patch, Varied, evaluate_maps, patch_of, shading_nor
 from ..scene import Material, Scene
 from ._emitters import LARGEST, Emitters, emitters_of
 
-# marks results of a search among all shapes, which a gradient stores, see `paths`
+# name of the results of a search among all shapes, which a gradient stores; see `paths`
 SEARCHED = "searched"
 
 

@@ -3,11 +3,11 @@
 A path begins at an emitter with some flux, and is reflected by surfaces. At each surface, the light
 that is reflected to the camera is added to the pixel that sees this point (Arvo, "Backward Ray
 Tracing", SIGGRAPH 1986 course 12; Veach, 1997, section 10.3). Light tracing finds caustics
-efficiently. A caustic is light that mirrors and glass focus on another surface; a path from the eye
-finds it about once in a million times. Lamps may be points. Light tracing cannot find light that
-mirrors and glass send directly to the camera, because only a single direction leads there. Mirrors
-and glass are therefore black in the picture; `paths` shows them. Radiance is in W m^-2 sr^-1, flux
-in W, lengths are in m.
+efficiently. A caustic is light that mirrors and glass focus on another surface; about one path from
+the eye in a million finds it. Lamps may be points. Light tracing cannot find light that mirrors and
+glass send directly to the camera, because a random path reaches the camera by this single direction
+with probability 0. Mirrors and glass are therefore black in the picture; `paths` shows them.
+Radiance is in W m^-2 sr^-1, flux in W, lengths are in m.
 """
 
 import equinox as eqx

@@ -276,7 +276,7 @@ def _too_narrow(
         match light:
             case RectangleLight():
                 angle, wide = _angle(light, surface.shape), width
-            case EnvironmentMap():  # light from all sides: a spacing of three widths suffices
+            case EnvironmentMap():  # light from all sides may be sampled at three lobe widths
                 angle, wide = np.pi, 3 * width
             case _:
                 return []
@@ -308,7 +308,7 @@ def _lobe(material: Material) -> tuple[float, float]:
             along, across = np.broadcast_to(2 * np.asarray(material.roughness, float), 2)
         case Phong() | PhongBRDF() | NormalisedPhong():
             along = across = 2 / max(float(material.exponent), 1e-3) ** 0.5
-        case Blinn() | BlinnBRDF() | NormalisedBlinn():  # about the half vector
+        case Blinn() | BlinnBRDF() | NormalisedBlinn():  # a power of the cosine to the half vector
             along = across = 4 / max(float(material.exponent), 1e-3) ** 0.5
         case GaussianLobe() | GaussianLobeBRDF():
             along = across = 2**0.5 / max(float(material.concentration), 1e-3)
@@ -335,7 +335,7 @@ def _lobe_of_table(material: Material) -> tuple[float, float]:
     values = np.asarray(seen(viewers), float).mean(axis=-1)
     peak, body = values[0, 0], values.min()
     half = [away[np.argmax(row < (peak + body) / 2)] or np.pi for row in values]
-    thrown = (peak - body) * half[0] * half[1]  # of sr^-1, times half a width squared
+    thrown = (peak - body) * half[0] * half[1]  # (sr^-1) times the half-widths in both directions
     if not (peak > 4 * body and thrown > 0.01 * (body + thrown)):
         return np.pi, np.pi
     width, other = (min(1.55 * float(x), np.pi) for x in half)  # 2 alpha of a facet lobe
@@ -424,7 +424,7 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
         case RectangleLight():
             area = float(np.linalg.norm(np.cross(light.edge_u, light.edge_v)))
             return _share(area, _parallelogram(light), matt)
-        case EnvironmentMap():  # the smallest solid angle that sends half of its light
+        case EnvironmentMap():  # share of the smallest solid angle that sends half of the light
             density, rows = np.asarray(light.density, float), light.density.shape[0]
             edges = np.cos(np.linspace(0, np.pi, rows + 1))
             solid = np.repeat((edges[:-1] - edges[1:])[:, None], density.shape[1], 1)
@@ -444,11 +444,11 @@ def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:
         own = _corners(surface.shape)
-        if isinstance(surface.shape, Plane):  # along its normal
+        if isinstance(surface.shape, Plane):  # the distance along the plane's normal
             nearest = min(nearest, float(_heights(surface.shape, corners).min()))
             continue
         apart = np.maximum(np.maximum(own.min(axis=0) - high, low - own.max(axis=0)), 0)
-        if apart.any():  # a lamp does not light itself
+        if apart.any():  # an emissive surface does not illuminate itself
             nearest = min(nearest, float(np.linalg.norm(apart)))
         elif not np.array_equal(own, corners):
             return 1.0
@@ -478,7 +478,7 @@ def _corners(shape: Shape) -> np.ndarray:
         case TriangleMesh():
             return np.asarray(shape.vertices, float)
     ball = ball_around([shape])
-    assert ball is not None  # only a plane has none
+    assert ball is not None  # only a plane has no bounding sphere
     return np.stack(
         [np.asarray(ball.centre, float) + sign * float(ball.radius) for sign in (-1, 1)]
     )
@@ -502,7 +502,7 @@ def _cut_short(
     """Return a message if a view through successive mirrors and glass surfaces needs more path
     segments than `depth` allows."""
     match integrator:
-        case "path":  # to the surface, to the lamp, and one segment for each face between
+        case "path":  # one segment to the surface, one to the lamp, and one for each face between
             needed = before + 2 + np.where(behind >= 0, behind, 0)
         case "rays":
             needed = before + 1

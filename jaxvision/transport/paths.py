@@ -156,10 +156,10 @@ def _walk(
     method = _simplest(world, method)
 
     def start(ray: Ray, pixel: Word) -> _Path:
-        # a zero that depends on the path, so that under `vmap` the whole state is batched at once
+        # a zero that depends on the path, so that `vmap` batches the whole state from the start
         zero = (0 * pixel).astype(ray.origin.x.dtype)
         finite = jnp.isfinite(sum(jax.tree.leaves(ray)))
-        radiance = jnp.where(finite, zero, jnp.nan)  # of a ray at NaN as of its hits
+        radiance = jnp.where(finite, zero, jnp.nan)  # NaN, like the ray's hits
         return _Path(
             ray,
             (zero + 1,) * world.bands,

@@ -57,7 +57,7 @@ from ._sources import (
 )
 from .solution import DEFAULT_RULE, Solution
 
-_LARGEST = 256  # arrays of at most so many numbers are indexed by each pixel
+_LARGEST = 256  # each pixel indexes stacked arrays of at most this size
 
 
 @one_program
