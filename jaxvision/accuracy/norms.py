@@ -17,7 +17,7 @@ def relative_rms(result: Any, reference: Any) -> float:
 
     Args:
         result: any shape and unit.
-        reference: the same unit, and the same shape or one that spreads over it.
+        reference: the same unit, and the same shape or one that broadcasts to it.
 
     Returns:
         sqrt(mean (result - reference)^2 / mean reference^2), no unit.

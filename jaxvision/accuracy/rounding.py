@@ -129,8 +129,7 @@ def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: 
 
 
 def _digits_of(values: np.ndarray) -> np.ndarray:
-    """Return the number of digits in which all runs, (runs, ...), agree, at most those of
-    float32."""
+    """Return the number of digits on which all runs, (runs, ...), agree, at most 7.2."""
     values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
     if not np.size(values):
         return np.full(values.shape[1:], WHOLE)

@@ -267,7 +267,7 @@ class Choice:
 
 
 def _many(scene: Scene) -> bool:
-    """Return whether lights in order of their contribution save more rays than the order costs."""
+    """Return whether ordering the lights by contribution saves more rays than it costs."""
     blocking = range(len(scene.surfaces)) if scene.occluders is None else scene.occluders
     shapes = [scene.surfaces[i].shape for i in blocking]
     meshes = any(isinstance(shape, TriangleMesh) for shape in shapes)

@@ -55,7 +55,7 @@ def lens_spread_bound(sums: Sums, onward: Onward) -> np.ndarray:
 def _interreflection_bound(
     sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray
 ) -> np.ndarray:
-    """Bound the same for light reflected between surfaces, (n, bands) W m^-2 sr^-1."""
+    """Bound this difference for light reflected between surfaces, (n, bands) W m^-2 sr^-1."""
     found = np.zeros_like(sums.sent_radiance)
     if onward.depth is None:
         return found

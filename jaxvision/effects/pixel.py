@@ -86,7 +86,7 @@ class Bound(NamedTuple):
 
 
 def unbounded(why: str) -> Callable[[Any], Bound]:
-    """Return the function of an effect that has no bound, because it defines a scale."""
+    """Return a function that gives no bound, for an effect that defines a scale."""
     return lambda _: Bound(INF, why)
 
 

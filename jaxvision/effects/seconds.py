@@ -80,7 +80,7 @@ def seconds_of(
 
 
 def party_of(row: Row, rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that can only be dropped together with a row, including itself."""
+    """Return the rows that can only be dropped together with a given row, including that row."""
     return [own for own in rows if own.together == row.together] if row.together else [row]
 
 

@@ -127,7 +127,9 @@ def _row(
 
 
 def _field(name: str, bound: BoundOf, sensor: Ends[Sensor], pixel: Callable[[Gone], Pixel]) -> Row:
-    """Return the `Row` of one field, which is dropped with the taps' factors on it."""
+    """Return the `Row` of one field, which is dropped together with the taps' factors on this
+    field.
+    """
     identity = _is_identity(name, sensor)
 
     def drop(draft: Draft) -> Draft:

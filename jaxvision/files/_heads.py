@@ -126,8 +126,10 @@ HALF, OFF = 0.2140, 0.03  # light of half the largest sRGB code, and deviation t
 
 
 def icc_differences(profile: bytes, name: str) -> list[str]:
-    """Describe primaries and a tone curve of an ICC profile (ICC.1:2022) that are not those of
-    sRGB. Profiles of tables are not looked at."""
+    """Describe how primaries and tone curve of an ICC profile (ICC.1:2022) differ from sRGB.
+
+    Profiles that consist of tables are ignored.
+    """
     tags: dict[bytes, bytes] = {}
     count = int.from_bytes(profile[128:132], "big")
     for i in range(min(count, (len(profile) - 132) // 12)):
@@ -172,7 +174,9 @@ _END = 0xD9  # marker of the end of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
-    """Describe further pictures, gain maps and bytes after the end in a JPEG file."""
+    """Describe further pictures, gain maps, and bytes after the end of the picture in a JPEG
+    file.
+    """
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
@@ -192,7 +196,7 @@ def jpeg_extras(file: Path) -> list[str]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield type and content of each segment of a JPEG; the end marker's is all that follows."""
+    """Yield the type and the content of each JPEG segment; the end marker's content is the rest."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]

@@ -111,8 +111,10 @@ def _check_places(file: Path, content: Mapping[str, Any]) -> None:
 
 
 def unread_by_trimesh(file: Gltf) -> list[str]:
-    """List, in words, the parts of a file that trimesh drops. Raise `InputError` for points that it
-    misreads, of sparse accessors or integers."""
+    """List, in words, the parts of a file that trimesh drops.
+
+    Raise `InputError` for points in sparse accessors or stored as integers, which trimesh misreads.
+    """
     found: dict[str, None] = {}  # in order, each once
     nodes, meshes = (_objects(file.content.get(kind)) for kind in ("nodes", "meshes"))
     for node in nodes:
@@ -255,7 +257,7 @@ def _buffer(file: Gltf, index: Any) -> bytes:
 
 
 def _value(table: Mapping[Any, Value], key: Any) -> Value | None:
-    """Return the value of a key; None for one that is no text or number, in a damaged file."""
+    """Return the value of a key; None if it is neither text nor a number, as in a damaged file."""
     return table.get(key) if isinstance(key, str | int) else None
 
 

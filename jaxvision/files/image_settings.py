@@ -98,7 +98,8 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
 
 def largest_code(path: str | os.PathLike[str], codes: np.ndarray) -> float:
     """Return the largest code that an image file can hold, DN, for `codes` from `read_image`: 15
-    for a PNG of 4 bits. The end of the array's type would be 17 times too large for it."""
+    for a PNG of 4 bits, and not 255, the largest number of the array's type.
+    """
     settings = read_settings(path)
     largest = float(np.iinfo(codes.dtype).max)
     stated = settings.saturation or (2.0**settings.bits - 1 if settings.bits else largest)

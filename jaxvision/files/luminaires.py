@@ -243,7 +243,7 @@ def _warn_of_contradictions(
 def _whole_turn(
     numbers: _Numbers, angles: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complete the planes of a type C lamp to 360 degrees, by the symmetry of its ends."""
+    """Complete a type C lamp to 360 degrees, by the symmetry that its first and last angle imply."""
     if len(angles) == 1:
         return angles[:1], table
     ends = float(angles[0]), float(angles[-1])
@@ -267,7 +267,7 @@ def _whole_turn(
 def _fill_turn(
     angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complete planes to 360 degrees, mirrored to m - h for each m in `mirrors`."""
+    """Complete the angles h to 360 degrees, by adding m - h for each m in `mirrors`."""
     for mirror in mirrors:
         angles = np.concatenate([angles, mirror - angles])
         table = np.concatenate([table, table], axis=1)

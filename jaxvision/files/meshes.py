@@ -288,8 +288,10 @@ def _load(file: Path):
 
 
 def _file_normals(scene) -> np.ndarray | None:
-    """Return the normals at the vertices that a file gives, (vertices, 3), in the order of the
-    merged mesh, which does not keep them; None if it gives none."""
+    """Return the vertex normals in a file, (vertices, 3), or None without normals.
+
+    The order is that of the merged mesh, which has lost its normals.
+    """
     found, given = [], False
     for node in scene.graph.nodes_geometry:
         to_world, name = scene.graph[node]

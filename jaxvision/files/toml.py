@@ -35,7 +35,7 @@ class Entry(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Show `float` without its range in `help`, where the attributes state it."""
+        """Show `float` without its range in `help`, because the attributes state the range."""
         plain = get_type_hints(cls)
         whole = signature(cls)
         said = [x.replace(annotation=plain[x.name]) for x in whole.parameters.values()]

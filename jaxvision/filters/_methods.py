@@ -260,8 +260,8 @@ def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
 
 
 def _transform(f: Planes, spectrum: Array) -> Planes:
-    """Return the sums by Fourier transforms in the spectrum's precision, as long as the transforms.
-    The sums of complete windows come first; ignore all after them.
+    """Return the sums by Fourier transforms, in the spectrum's precision. The result is as long as
+    the transforms: the sums of complete windows come first, and the rest is invalid.
     """
     with jax.enable_x64(True):
         lengths = _fast_length(f.shape[2]), _fast_length(f.shape[3])

@@ -10,9 +10,9 @@ odd kernel and the second of the two middle entries of an even one, as in scipy 
 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
 filter(f) / filter(1), both with border "zero". For kernels without negative entries the result is a
-weighted mean of the pixels inside the picture. Where filter(1) is 0 within rounding, (number of
-taps) eps filter(1) with |kernel|, the result is 0. "normalised_zero" ignores coverage: to blur a
-premultiplied layer use border "zero", and divide by its blurred alpha with
+weighted mean of the pixels inside the picture. Where |filter(1)| is at most its rounding error,
+(number of taps) eps times filter(1) of |kernel|, the result is 0. "normalised_zero" ignores
+coverage: to blur a premultiplied layer use border "zero", and divide by its blurred alpha with
 `compositing.unpremultiply`.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
@@ -25,9 +25,9 @@ x 15 and "fft" beyond.
 "fft" is about as accurate as the other methods. In a picture with a range of eight decades the
 relative error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a
 window of zeros gives exactly 0. If some windows are 100 times darker than the picture's root mean
-square, as bright spots cause, the sums are computed in float64 and tile by tile, which takes two to
-three times as long. For numbers of either sign the error is relative to the largest value in the
-window.
+square, as in a picture with bright spots, the sums are computed in float64 and tile by tile, which
+takes two to three times as long. For numbers of either sign the error is relative to the largest
+value in the window.
 
 A pixel becomes NaN or infinite if its window contains such a value, even under a weight of 0. With
 "conv" and one kernel per band, a NaN in one band may spread to all bands, depending on the code
@@ -79,12 +79,9 @@ def correlate(
 ) -> Filtered:
     """Correlate with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
-    The kernel is not rotated. Without an anchor the kernel's entry (kh
-
-    2, kw
-
-    2) lies on the pixel: the second of the two middle rows or columns of an even kernel. A kernel
-    may be larger than the picture. Pixels are then read as far beyond the border as the kernel
+    The kernel is not rotated. Without an anchor the kernel's entry (kh // 2, kw // 2) lies on the
+    pixel: the second of the two middle rows or columns of an even kernel. A kernel may be larger
+    than the picture. Pixels are then read as far beyond the border as the kernel
     extends: "wrap", "mirror" and "reflect_101" repeat the picture periodically, and "extend"
     continues its straight line.
 

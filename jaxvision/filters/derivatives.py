@@ -75,7 +75,7 @@ def laplacian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """Compute the Laplacian Compute the Laplacian f_xx + f_yy by second differences.
+    """Compute the Laplacian f_xx + f_yy by second differences.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

@@ -42,7 +42,7 @@ class IntegralImage(Shown):
 @takes_numbers
 @jax.jit
 def integral_image(image: Picture) -> IntegralImage:
-    """The integral image.
+    """Compute the integral image, the sums over all boxes that begin at the first pixel.
 
     Args:
         image: (h, w) or (..., h, w, bands), any unit. Integers are summed in floating point,
@@ -75,7 +75,7 @@ def box_sum(
     bottom: Int[Array, ""],
     right: Int[Array, ""],
 ) -> Float[Array, "..."]:
-    """The sum over rows top <= i < bottom and columns left <= j < right.
+    """Return the sum over rows top <= i < bottom and columns left <= j < right.
 
     This function sums one box; use `vmap` for many. Bounds of the box outside the image are moved
     to the image's edge. A box with bottom < top or right < left is empty, with sum 0.

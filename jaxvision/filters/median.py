@@ -102,10 +102,7 @@ def _median(picture: Picture, offsets: Offsets, border: str) -> Shaped[Array, ".
 
 @jax.custom_jvp
 def _middle(neighbours: tuple[Array, ...]) -> Array:
-    """Return the element of rank n
-
-    2 of n arrays, pixel by pixel.
-    """
+    """Return the element of rank n // 2 of n arrays, pixel by pixel."""
     wires = list(neighbours)
     for i, j in _selection_network(len(wires), len(wires) // 2):
         wires[i], wires[j] = jnp.minimum(wires[i], wires[j]), jnp.maximum(wires[i], wires[j])

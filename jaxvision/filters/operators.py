@@ -19,7 +19,7 @@ def impulse_response(
     operator: Callable[[Filtered], Filtered],
     shape: tuple[int, ...],
 ) -> Filtered:
-    """The response of a filter to one bright pixel in every plane.
+    """Return the response of a filter to one bright pixel in every plane.
 
     For `convolve` it is the kernel, and for `correlate` the kernel rotated by 180 degrees.
 
@@ -42,7 +42,7 @@ def impulse_response(
 
 @takes_numbers
 def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> Filtered:
-    """The transpose of a linear filter, applied: <operator(f), g> = <f, adjoint(g)>.
+    """Apply the transpose of a linear filter: <operator(f), g> = <f, adjoint(g)>.
 
     Args:
         picture: g, of the shape that the filter returns, any unit.

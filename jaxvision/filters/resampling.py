@@ -152,8 +152,9 @@ def warp(
         rows: (h, w) row in the picture of each pixel of the result, pixels.
         columns: (h, w) column in the picture of each pixel of the result, pixels.
         samples: samples along each side of a pixel of the result, whose mean is taken; about the
-            factor by which the map shrinks the picture. 1 takes the centre only. The map is linear
-            within a pixel, so that it needs at least two rows and columns.
+            factor by which the map shrinks the picture. 1 takes the centre only. The map is
+            interpolated linearly within a pixel of the result, so it needs at least two rows and
+            columns.
         border: how values outside the picture are set: "clamp", "constant", "mirror" or
             "reflect_101".
         fill: () value outside with border "constant", in the picture's unit.

@@ -1,6 +1,6 @@
 """Averages, and sharpening.
 
-Pictures, borders and methods as in `convolution`; sizes in pixels.
+Pictures, borders and methods are those of `convolution`; sizes are in pixels.
 """
 
 from collections.abc import Callable, Sequence

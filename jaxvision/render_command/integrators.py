@@ -138,8 +138,9 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
 
 
 def light_findings(source: SceneFile, settings: RenderEntry) -> list[str]:
-    """List sentences on lamps of a scene file that light nothing, on light that the integrator
-    cannot find, and on effects of the lens that a picture of radiance lacks."""
+    """List sentences about lamps that illuminate nothing, about light that the integrator cannot
+    find, and about effects of the lens that a picture of radiance lacks.
+    """
     return [
         *_lens_findings(source.view),
         *idle_lamps(source.scene, lights=source.lights),

@@ -96,9 +96,12 @@ def looks_without_black(
     gains: float,
     black: float,
 ) -> bool:
-    """Return whether the noise in even light is that of a signal larger by `black`, as where a
-    black level was subtracted. All are means of the frame: light and black in electrons, and the
-    variances of noise and of the fixed pattern of offsets and of gains."""
+    """Return whether the noise in even light fits a signal that is larger by `black`, as if a black
+    level had been subtracted.
+
+    All arguments are means over the frame: light and black in electrons, and the variances of noise
+    and of the fixed pattern of offsets and of gains.
+    """
     if not ratios.size or not light > 0:
         return False
     low, median, high = np.quantile(ratios, (0.25, 0.5, 0.75))

@@ -4,10 +4,10 @@ Times are in s; weights have no unit. The time from the start of the first row's
 of the last row's exposure is divided into equal slots. The scene is evaluated in the middle of each
 slot. The weight of a slot for a row is the part of the slot within the row's exposure. If this is
 not the whole slot, the scene in the middle of the part is interpolated linearly between the middles
-of two slots. A linear change of the scene is therefore averaged exactly for every row. If slots are
-at least as long as an exposure, they begin earlier and end later, so that the middles of the first
-and last slot are those of the first and last row's exposure. A global shutter exposes all rows from
-time 0 on.
+of two slots. A linear change of the scene is therefore averaged exactly for every row. If a slot is
+at least as long as an exposure, the slots begin earlier and end later: the first and the last slot
+are then centred on the exposure of the first and the last row. A global shutter exposes all rows
+from time 0 on.
 """
 
 from collections.abc import Callable
@@ -64,8 +64,8 @@ def exposure_slots(
 
     Returns:
         Middle of each slot (slots,) in s, and weights (rows, slots), >= 0, whose sum is 1 for each
-        row. The weights are smooth functions of the times, except where a row's exposure begins or
-        ends with a slot, or has its middle there.
+        row. The weights are smooth functions of the times, except where the beginning, the middle
+        or the end of a row's exposure is at the border of two slots.
 
     Raises:
         ValueError: `slots` is less than 1.

@@ -20,7 +20,7 @@ from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import LEAST_NANOMETRES, NANOMETRE, TURN, contents_of, representable
 
-MANY = 100  # samples from which their median is looked at
+MANY = 100  # number of samples from which their median is checked
 BRIGHTEST = 1.3  # largest reflectance, with the errors of measured ones
 Row = tuple[int, list[float]]  # the number of its line, and its numbers
 

@@ -24,10 +24,10 @@ from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import contents_of, representable
 
-_PADDING_SHARE = 0.02  # share of zeros at the end of a colour, above which it is not a measurement
+_PADDING_SHARE = 0.02  # share of zeros at the end of a colour, above which they are padding
 DARKEST, BRIGHTEST = 5e-4, 1.5  # albedos of materials, with the errors of measured ones
 OF_DATABASE = (90, 90, 180)  # bins of its files; tables of other sizes may hold anything
-ANGLES = 90  # of the sum for the albedo
+ANGLES = 90  # number of angles in the sum for the albedo
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
@@ -109,7 +109,7 @@ def read_merl(
 
 def _name_implausible(file: Path, values: np.ndarray) -> None:
     """Warn if a surface lit along its normal reflects more light than it receives, or no visible
-    light. The half and difference angles of (normal, wo) are both half the angle of wo."""
+    light. If wi is the normal, half and difference angle are both half the angle of wo."""
     angles = (np.arange(ANGLES) + 0.5) * (np.pi / 2 / ANGLES)
     share = angles / np.pi  # of 90 degrees
     half = (np.sqrt(share) * values.shape[0]).astype(int)

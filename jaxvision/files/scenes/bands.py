@@ -57,15 +57,15 @@ class Tabulated:
 
     Attributes:
         pairs: any number of [wavelength in nm, value], wavelengths ascending.
-        file: a CSV with a header line. The wavelengths are in the column with that header, or in
-            the first column. They are in nm unless the header says um, m, angstrom or, for a
+        file: a CSV with a header line. The wavelengths are in the column whose header says so, or
+            in the first column. They are in nm unless the header says um, m, angstrom or, for a
             reflectance, cm^-1.
         column: header of the values. By default, it is the only column besides wavelengths, indices
             and uncertainties, or the only column whose header names the quantity. A reflectance may
             be in %.
         illuminant: relative power by colour-science's name ("D65", "A", "FL2"), in upper or lower
             case.
-        patch: reflectance of a patch of `chart`.
+        patch: name of a patch of `chart`, whose reflectance is used.
         chart: name of the chart.
         blackbody: temperature in K, for radiance in W m^-2 sr^-1 per m.
         scale: factor on the spectrum, no unit.

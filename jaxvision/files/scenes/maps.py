@@ -27,9 +27,9 @@ from .bands import Bands
 from .folder import Folder
 
 INWARD = 0.05  # share of normals that point into the surface
-STEEPEST = 0.1  # least z of a normal whose slope is used
-CELLS = 50  # of 2 x 2 texels, least
-REVERSED = 4.0  # ratio of the curl to that with a reversed y axis
+STEEPEST = 0.1  # smallest z of a normal whose slope is used
+CELLS = 50  # smallest number of cells of 2 x 2 texels
+REVERSED = 4.0  # ratio of the curl to the curl with a reversed y axis
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
@@ -101,8 +101,11 @@ def make_map(
 
 
 def name_doubtful_normals(where: str, shape: Shape, normals: Map) -> None:
-    """Warn about a map whose numbers are no normals: many point into the surface, or their slopes
-    belong to a relief only if the y axis is reversed. The slopes of a relief have no curl."""
+    """Warn about a map if many of its normals point into the surface, or if its slopes are free of
+    curl only with a reversed y axis.
+
+    The slopes of a relief have no curl.
+    """
     values = np.asarray(normals.values, float)
     if (inward := float(np.mean(values[..., 2] <= 0))) > INWARD:
         warn(

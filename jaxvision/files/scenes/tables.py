@@ -355,7 +355,7 @@ def _name_of(record: type) -> str:
 
 
 def keys_of_kind(table: Table) -> dict[str, Key]:
-    """Return the keys of a light or material, with `albedo` beside `diffuse`."""
+    """Return the keys of a light or material, with `albedo` as an alternative to `diffuse`."""
     keys = keys_of(table.make, record=table.record)
     if "diffuse" not in keys or not issubclass(table.record, Material):
         return keys

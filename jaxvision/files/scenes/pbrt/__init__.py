@@ -240,7 +240,7 @@ class _Reader:
         return node_of(statement, names, self._textures, self.folder)
 
     def _named(self, node: Node, name: str) -> Node:
-        """Return a named material, which is not a mixture of a mixture."""
+        """Return a named material. Raise `InputError` for a mixture of mixtures."""
         found = _found(node, name, "material", self._materials)
         if node.kind == found.kind == "mix":
             raise node.wrong("mixes a mixture, which is not read; mix its materials.")
@@ -276,8 +276,11 @@ def _emission(light: Node, node: Node, shape: dict[str, Any]) -> tuple[list[floa
 def _mirrors_maps(
     node: Node, to_world: Affine, table: dict[str, Any], normals: dict[str, Any] | None
 ) -> bool:
-    """Turn the maps of a sphere in the table of its material if the world is mirrored, and return
-    whether it is. A map of a sphere is about the world's z axis here."""
+    """Mirror the maps in the material of a sphere if the world is mirrored, and return whether it
+    is.
+
+    Maps of spheres have the world's z axis, so other rotations raise `InputError`.
+    """
     maps = {key: x for key, x in table.items() if isinstance(x, dict) and "map" in x}
     linear = to_world[:3, :3] / np.linalg.norm(to_world[:3, 2])
     if not (maps or normals) or np.allclose(linear, np.eye(3), atol=1e-6):
@@ -291,7 +294,9 @@ def _mirrors_maps(
 
 
 def _render(sampler: Node, integrator: Node) -> dict[str, Any]:
-    """Convert sampler and integrator. pbrt counts reflections, one less than the segments here."""
+    """Convert sampler and integrator. pbrt counts reflections, one less than the path's
+    segments.
+    """
     if sampler.kind == "stratified":
         samples = sampler.take("xsamples", int, 4) * sampler.take("ysamples", int, 4)
     else:

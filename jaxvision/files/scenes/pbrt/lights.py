@@ -1,7 +1,7 @@
 """Convert pbrt's lights to the tables `[[light]]` of a scene file.
 
-`scale` multiplies the colour of a light. Given its `power` (lm) or `illuminance` (lux), a light
-whose spectrum is not `rgb` has this amount of light, in cd, lux or cd m^-2.
+`scale` multiplies the colour of a light. If a light states its `power` (lm) or `illuminance` (lux),
+its spectrum is scaled to this amount, and its values are in cd, lux or cd m^-2.
 """
 
 from itertools import product
@@ -80,7 +80,7 @@ def _cone(node: Node) -> tuple[float, float]:
 
 
 def _scale(node: Node) -> float:
-    """Return the factor on the colour of a light, with its illuminance."""
+    """Return the factor on the colour of a light: its scale times its illuminance, if given."""
     scale = node.take("scale", float, 1.0)
     if scale < 0:
         raise node.wrong("scale must be at least 0; correct it.")
@@ -115,8 +115,11 @@ def _sky(square: np.ndarray, to_world: Affine) -> np.ndarray:
 
 
 def _luminaire(square: np.ndarray, to_world: Affine) -> Any:
-    """Return a lamp about the world's z axis, whose values at its angles are means over the nearest
-    pixels of the square at nine points. The picture's axis is the y axis of the light."""
+    """Return a lamp about the world's z axis.
+
+    Its intensity at each angle is the mean of the nearest pixels of the square at nine points. The
+    picture's axis is the y axis of the light.
+    """
     size = len(square)
     vertical, horizontal = (np.linspace(0, k * np.pi, k * size + 1) for k in (1, 2))
     found = np.zeros((size + 1, 2 * size + 1))
@@ -130,9 +133,9 @@ def _luminaire(square: np.ndarray, to_world: Affine) -> Any:
 
 
 def _nearest(square: np.ndarray, z: np.ndarray, phi: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Return the pixels of a square picture of the sphere in the directions of a height and an
-    azimuth in the world. Equal areas of the square are equal solid angles. It shows the hemisphere
-    z > 0 of the picture within the diagonals between the middles of its sides. Source: Clarberg,
+    """Return the pixels of a square picture of the sphere in the world's directions of height `z`
+    and azimuth `phi`. Equal areas of the square are equal solid angles. The hemisphere z > 0 is
+    inside the diamond that connects the midpoints of the sides. Source: Clarberg,
     "Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD", Journal of Graphics Tools 13(3)
     (2008)."""
     sine = np.sqrt(np.maximum(1 - z * z, 0))

@@ -104,7 +104,7 @@ def _coat(node: Node, prefix: str) -> dict[str, Any]:
 
 
 def _coated_conductor(node: Node) -> dict[str, Any]:
-    """Convert a metal under a coat, whose indices are relative to that of the coat."""
+    """Convert a metal under a coat; the metal's indices are relative to the index of the coat."""
     made = _coat(node, "interface.")
     roughness = _roughness(node, "conductor.")
     if isinstance(roughness, dict) or roughness < _LEAST_UNDER_COAT:
@@ -183,7 +183,7 @@ def _dielectric(node: Node) -> dict[str, Any]:
 
 
 def _mix(node: Node, named: Callable[[Node, str], Node]) -> dict[str, Any]:
-    """Convert a mixture of matte materials and at most one that has facets."""
+    """Convert a mixture of two matte materials, or of a matte one and a metal with facets."""
     names = node.take("materials", tuple)
     if names is None or len(names) != 2:
         raise node.wrong("needs two materials; name them.")

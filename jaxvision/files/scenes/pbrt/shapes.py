@@ -14,7 +14,7 @@ _PLY_NORMALS = re.compile(rb"^property\s+\S+\s+nx\s", re.MULTILINE)
 
 
 def shape_of(node: Node, to_world: Affine, reverse: bool, folder: Folder) -> dict[str, Any]:
-    """Return `shape` and the other keys of a shape, in m, whose normals `reverse` turns. Raise
+    """Return `shape` and the other keys of a shape, in m. `reverse` reverses its normals. Raise
     `InputError` for a shape, or a stretched shape, without a counterpart."""
     kind = node.must_be(*_SHAPES)
     if node.take("alpha", float, 1.0) != 1:
@@ -124,8 +124,9 @@ def _mesh(
 
 
 def area_of(node: Node, shape: dict[str, Any]) -> float:
-    """Return the area, m^2, over which pbrt spreads the power of a shape: for a mesh that of each
-    of its triangles."""
+    """Return the area, m^2, over which pbrt spreads the power of a shape; for a mesh, the area of
+    one face.
+    """
     match shape["shape"]:
         case "sphere":
             return 4 * np.pi * shape["radius"] ** 2

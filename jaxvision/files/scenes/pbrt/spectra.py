@@ -54,8 +54,9 @@ def pairs_of(node: Node, name: str, table: Table) -> np.ndarray:
 
 
 def numbers_of(node: Node, name: str, otherwise: float) -> Any:
-    """Return a number, a reflectance or another parameter of a material, or the map or spectrum in
-    its place, as in a scene file."""
+    """Return a parameter of a material, as in a scene file: a number, a colour, a spectrum or a
+    map.
+    """
     texture = node.texture(name)
     if texture is None:
         return plain(_table(node.take(name, (Colour, Table, float), otherwise)))
@@ -66,8 +67,9 @@ def numbers_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def texture_of(node: Node) -> Node:
-    """Return a texture, whose only value `found` is a number, colour, spectrum or map as in a scene
-    file, or the error for a texture that is not supported."""
+    """Return a texture as a node with one value, `found`: the number, colour, spectrum or map for a
+    scene file, or the error for a texture that is not supported.
+    """
     found: Any
     try:
         match node.must_be("constant", "scale", "mix", "imagemap"):
@@ -101,7 +103,7 @@ def _product(node: Node, first: Any, second: Any) -> Any:
 
 
 def mixed(node: Node, first: Any, second: Any, share: float) -> Any:
-    """Return the mean of two numbers or colours, of which the second has this share."""
+    """Return the weighted mean of two numbers or colours; `share` is the weight of the second."""
     if isinstance(first, dict) or isinstance(second, dict):
         raise node.wrong("mixes pictures or tables, which are not read; give numbers or rgb.")
     return ((1 - share) * np.asarray(first) + share * np.asarray(second)).tolist()

@@ -47,14 +47,16 @@ class Statement(NamedTuple):
         return InputError(f"{self.place}: {self.word} {what}")
 
     def numbers(self, count: int) -> np.ndarray:
-        """Return the arguments, which are so many finite numbers, also in brackets."""
+        """Return the arguments, with or without brackets, as `count` finite numbers."""
         flat = [x for one in self.arguments for x in (one if isinstance(one, list) else [one])]
         if len(flat) != count or not all(type(x) is float and np.isfinite(x) for x in flat):
             raise self.wrong(f"takes {count} finite numbers; correct it.")
         return np.array(flat)
 
     def names(self, count: int, *, alone: bool = False) -> list[str]:
-        """Return the first arguments, which are so many names; all of them if `alone`."""
+        """Return the first `count` arguments as names; with `alone`, no other argument may
+        follow.
+        """
         found = self.arguments[:count]
         is_complete = len(found) == count and not (alone and self.arguments[count:])
         if not is_complete or not all(isinstance(name, str) for name in found):
@@ -126,9 +128,11 @@ def _statements(text: str, file: str) -> Iterator[Statement]:
 
 
 def node_of(statement: Statement, names: int, textures: Mapping[str, Node], folder: Folder) -> Node:
-    """Return the object of a statement whose last of so many names is the type of the object, and
-    whose further arguments are its parameters. Raise `InputError` for a parameter of a wrong
-    type."""
+    """Return the object of a statement.
+
+    The first `names` arguments are names, the last of them the type of the object; its parameters
+    follow. Raise `InputError` for a parameter of a wrong type.
+    """
     kind = statement.names(names)[-1]
     node = Node(statement.word, kind, f"{statement.word} {kind[:40]}, {statement.place}")
     rest = statement.arguments[names:]
