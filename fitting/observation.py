@@ -307,7 +307,8 @@ def pixels_of_mask(stored: np.ndarray) -> Bool[np.ndarray, "h w"]:
 
 def mosaic_contrast(picture: Float[np.ndarray, "h w"]) -> float:
     """Return the relative difference of the sites of a 2 x 2 mosaic in a picture in DN above black,
-    if it has one sign in most of the picture; else 0. Pixels that do not count are NaN.
+    if the difference has the same sign in most of the picture; else 0. Pixels that do not count are
+    NaN.
     """
     height, width = (2 * (length // 2) for length in picture.shape)
     a, b, c, d = (picture[i:height:2, j:width:2] for i in (0, 1) for j in (0, 1))

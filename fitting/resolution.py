@@ -244,10 +244,11 @@ def from_edge(
     """Measure the resolution from the picture of one straight edge, at any angle.
 
     The noise is measured on both sides of the edge. Uneven light and a slight curvature of the edge
-    are fitted if the picture shows them. A finding names a gamma that bends the edge spread beyond
-    its noise. Without such a gamma, a finding gives the change of the blur that a smaller gamma
-    would cause, unless the numbers are raw numbers of a `sensor`. An edge along the rows or the
-    columns (or at 45 degrees) samples few distances; rotate the chart by about 5 degrees.
+    are fitted if the picture shows them. If the edge spread is asymmetric beyond its noise, as
+    after a gamma curve, a finding states this gamma. Otherwise a finding gives the change of the
+    blur that an undetected gamma would cause, unless the numbers are raw numbers of a `sensor`. An
+    edge along the rows or the columns (or at 45 degrees) samples few distances; rotate the chart by
+    about 5 degrees.
 
     Args:
         image: (h, w) linear numbers of a region with one edge, or (h, w, bands) of a developed
@@ -327,7 +328,7 @@ def wavefront_from_edges(
             which the aberrations are equal.
         wavelength: () or (lines,) m; several lines of equal strength for light of a wide band.
         f_number: working f-number.
-        pixel_pitch: m. The pixel is taken to collect light on its whole square.
+        pixel_pitch: m. The pixel is assumed to collect light on its whole square.
         terms: numbers of the Zernike terms to estimate, 4 and higher (`jv.optics.zernike`). A tilt
             (2 or 3) only moves the edges.
         defocus: (images,) known coefficient of term 4 that the setting of the focus adds to each
@@ -339,9 +340,9 @@ def wavefront_from_edges(
 
     Returns:
         The fit. Its parameters "z4", "z5", ... are coefficients in nm; x of the pupil is to the
-        right in the picture and y down. The model holds for errors up to a quarter of a wave (rms).
-        "edge" has seven numbers for each picture: the changes of angle, place, levels, curvature
-        and shading, in standard errors of its own fit.
+        right in the picture and y down. The model is valid for errors up to a quarter of a wave
+        (rms). "edge" has seven numbers for each picture: the changes of angle, place, levels,
+        curvature and shading, in standard errors of its own fit.
 
     Raises:
         InputError: for pictures that `from_edge` refuses, for terms that directions and focus of
@@ -812,12 +813,12 @@ def _measure(found: Fit, pixels: _Pixels, blur: Blur, reach: float) -> Resolutio
 
 
 def _nonlinear(result: Resolution, pixels: _Pixels, black: float, raw: bool) -> Iterator[str]:
-    """Say whether noise and shape of the edge are those of numbers with a gamma, or how far a gamma
-    that they do not exclude would move the blur.
+    """Yield a finding if noise or shape of the edge show that the numbers have a gamma, or on how
+    much a gamma that they do not exclude would change the blur.
 
-    A symmetric blur has a symmetric edge spread, and a gamma bends it. The fit is not weighted, so
-    that an error in the shape of a symmetric blur, which is odd about the edge, does not pass into
-    the exponent.
+    A symmetric blur has a symmetric edge spread, which a gamma makes asymmetric. The fit is not
+    weighted, so that an error in the shape of a symmetric blur, which is odd about the edge, does
+    not affect the exponent.
     """
     dark, bright = pixels.block_variances
     if min(pixels.side_sd) < _ROUNDED * pixels.step:

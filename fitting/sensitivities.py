@@ -5,13 +5,14 @@ A reading y is linear in the sensitivity s of its channel: y = sum over bands of
 spectrum of the light, plus noise. The prior of s >= 0 is a Gaussian process over wavelength (Matern
 3/2) whose size and correlation length maximise the evidence, times the transmittance of a filter
 before the sensor, the same for all channels, which may block ultraviolet and infrared light. Such a
-filter makes cliffs that no smooth process has. Its two edges have a prior over place and steepness,
-in which half of the weight is on no edge; the evidence of all channels together gives their
-posterior. Fine structure, a second process of a tenth of the size and a length of 10 nm, is added,
-because the smooth spectra of paints do not show whether there is any. A posterior draw is the
-optimum of a randomised problem: the prior's mean and the readings are drawn, and non-negative least
-squares finds s. This is exact for a Gaussian posterior. Each draw also uses its own draw of filter,
-size, length and noise, so that the intervals include their errors.
+filter cuts off more steeply than a smooth process can. The prior of its two edges covers their
+wavelengths and steepness, and half of the prior probability is on no edge. The evidence of all
+channels together gives the posterior of the edges. Fine structure, a second process of a tenth of
+the size and a length of 10 nm, is added, because the smooth spectra of paints do not show whether
+there is any. A posterior draw is the optimum of a randomised problem: the prior's mean and the
+readings are drawn, and non-negative least squares finds s. This is exact for a Gaussian posterior.
+Each draw also uses its own draw of filter, size, length and noise, so that the intervals include
+their errors.
 
 Source:
     Rasmussen & Williams, Gaussian Processes for Machine Learning, chapters 2 and 5; Bardsley &
@@ -341,7 +342,7 @@ def from_patches(
 
 
 def _widths(spectra: np.ndarray, at: np.ndarray) -> Float[np.ndarray, " patches"]:
-    """Return the width of each spectrum, in m: that of a box with its mean and mean square."""
+    """Return the width, m, of the box that has the same integral and squared integral."""
     apart = np.gradient(at)
     squares = np.maximum(spectra**2 @ apart, 1e-300)
     return (spectra @ apart) ** 2 / squares
@@ -350,8 +351,8 @@ def _widths(spectra: np.ndarray, at: np.ndarray) -> Float[np.ndarray, " patches"
 def _shifted_in_words(
     fits: Sequence["_Channel"], narrow: Sequence[np.ndarray], at: np.ndarray, draws: np.ndarray
 ) -> list[str]:
-    """Say by how much the wavelengths of narrow bands are off, which readings of broad spectra
-    show, or how exact they must be."""
+    """Return a sentence on the error of the wavelengths of narrow bands, which readings of broad
+    spectra reveal, or on how exact they must be."""
     if not all(bands.sum() >= _FEWEST for bands in narrow):
         return []
     slopes = np.gradient(draws.mean(axis=0), at, axis=0)
@@ -395,8 +396,8 @@ def _shifted_in_words(
 
 
 def _clipped_in_words(name: str, readings: np.ndarray) -> list[str]:
-    """Return a sentence if several readings are equal to the largest one, as where they are clipped
-    (NaN excludes them); whole numbers may be equal by chance."""
+    """Return a sentence if several readings equal the largest one, as clipped readings do (NaN
+    excludes them); whole numbers may be equal by chance."""
     count = int(np.sum(readings == readings.max(initial=-np.inf)))
     whole = np.array_equal(readings, np.round(readings))
     if count < _FEWEST_EQUAL + whole or not readings.max() > 0:
@@ -416,8 +417,7 @@ def _matrix(raw: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 
 
 def _edges(at: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "edges bands"]:
-    """Return functions of wavelength that fall from 1 to 0 at one of the places, of each
-    steepness."""
+    """Return functions of wavelength that fall from 1 to 0, one for each position and steepness."""
     return np.array([expit((place - at) / wide) for wide in _STEEPNESS for place in places])
 
 

@@ -515,8 +515,8 @@ def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
 
 
 def _gradients_about(problem: Problem) -> int:
-    """Return the cost of the second derivatives at the mode and at two points for each parameter,
-    in gradients of one datum."""
+    """Return the computing cost, in gradients of one datum, of the second derivatives at the mode
+    and at two points for each parameter."""
     parameters = len(problem.space)
     return (2 * parameters + 1) * parameters * problem.data.size
 

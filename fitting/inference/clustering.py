@@ -273,7 +273,7 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return C with C^T information C = covariance^-1, so that stretching by C gives that
+    """Return C with C^T information C = covariance^-1, which stretches a density to this
     curvature."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))

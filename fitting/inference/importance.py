@@ -43,14 +43,14 @@ KEPT = 8000  # draws that are returned
 WANTED, ENOUGH = 2000.0, 1000.0
 ROUNDS = 6
 # Change of ln det / 2 of the other parameters' information at two standard deviations. It moves the
-# most probable value by half of it, in standard deviations.
+# most probable value by half this change, in standard deviations.
 TOLERATED_VOLUME = 0.8
 RIDGES = 3  # parameters along which draws are tried
 # Effective draws along a parameter per draw, from which they describe all parameters: .83 to .95
 # where their information changes with one scale, .64 to .75 where another parameter meets a bound.
 FOLLOWED = 0.8
-APART = 2.0  # standard deviations from the mode beyond which it is not the best value
-UNNOTICED = 0.5  # of these up to which Laplace's approximation may stay
+APART = 2.0  # standard deviations between marginal and joint mode that are reported
+UNNOTICED = 0.5  # the same distance, up to which Laplace's approximation may stay
 HOPELESS = 50.0  # draws for each effective one from which no more are made
 
 
@@ -149,7 +149,7 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """Return how far the fall of the log density at two deviations is from a Gaussian's."""
+    """Return the decrease of the log density at two standard deviations, minus a Gaussian's."""
     centre = np.asarray(mode, np.float64)
     points = jnp.asarray(np.stack([centre, *_shifted_modes(centre, covariance)]), mode.dtype)
     return _misses(-evaluate_density(log_density, points, args))
@@ -265,7 +265,7 @@ def _normalise(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _resample(vectors: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray:
-    """Draws of equal weight."""
+    """Return draws of equal weight."""
     places = (np.random.default_rng(seed).uniform() + np.arange(KEPT)) / KEPT
     return vectors[np.minimum(np.searchsorted(np.cumsum(weight), places), len(vectors) - 1)]
 
@@ -379,8 +379,9 @@ def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np
 def _adapt_proposal(
     proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float
 ) -> Proposal:
-    """Return a proposal with the mean of the weighted draws. Its covariance is a mixture of theirs,
-    with weight `share`, and of the old one, because few draws determine a covariance poorly.
+    """Return a proposal with the mean of the weighted draws. Its covariance is a weighted mean of
+    the draws' covariance, with weight `share`, and of the old covariance, because few draws
+    determine a covariance poorly.
     """
     centre = weight @ places
     away = places - centre

@@ -7,11 +7,11 @@ A likelihood is a record with
     draw(key, prediction)               simulated data, (data)
 
 `least_squares` says whether ln p is -residual^2 / 2 plus constants, so that a fit may use the
-Levenberg-Marquardt method. `surrogate` is None, or for a likelihood that is hard to optimise a
-least-squares likelihood with a similar best fit. A record of your own with these parts works as
-well. It may also have `check_data(data)`, which refuses invalid data, and `for_data(data)`, which
-returns the likelihood adapted to the data. A field that is a string names a parameter or a path
-into a record, and is replaced by its value.
+Levenberg-Marquardt method. `surrogate` is None, except for a likelihood that is hard to optimise:
+there it is a least-squares likelihood with a similar best fit. A record of your own with these
+parts works as well. It may also have `check_data(data)`, which refuses invalid data, and
+`for_data(data)`, which returns the likelihood adapted to the data. A field that is a string names a
+parameter or a path into a record, and is replaced by its value.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the standard
 normal quantile of the cumulative probability of a datum. A clipped datum or a count corresponds to

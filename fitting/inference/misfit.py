@@ -26,8 +26,8 @@ class Misfit:
     Attributes:
         chi_square: sum of squared residuals.
         dof: number of data less the effective number of parameters.
-        p: probability of a larger chi-square. NaN with less than one degree of freedom, unless it
-            is below `CHANCE` for one.
+        p: probability of a larger chi-square. NaN with less than one degree of freedom, unless p
+            for one degree is below `CHANCE`.
         correlation: correlation of neighbouring residuals along each axis.
         significance: ratio of each correlation to its standard deviation.
         faults: sentences, empty when the model describes the data.

@@ -71,7 +71,7 @@ def widest_first(
 
     Args:
         curvatures: at a mode and at steps of each number alone, up and then down.
-        scales: of the changes.
+        scales: factor on the changes of each number's row.
     """
     count = curvatures.shape[-1]
     with np.errstate(all="ignore"):
@@ -83,7 +83,7 @@ def widest_first(
 
 
 def _volume(curvature: Float[np.ndarray, "parameters parameters"], index: int) -> float:
-    """ln det / 2 without one row and column; infinite where that is no information."""
+    """Return ln det / 2 without one row and column; infinite unless the determinant is positive."""
     others = np.delete(np.arange(len(curvature)), index)
     with np.errstate(all="ignore"):
         sign, log = np.linalg.slogdet(curvature[np.ix_(others, others)])
@@ -171,7 +171,7 @@ def proposed(
 
 
 def _interpolate(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Values of a table between its places."""
+    """Interpolate the values of a table linearly between its places."""
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     return (1 - share) * values[cell] + share * values[cell + 1]
 
@@ -179,7 +179,8 @@ def _interpolate(values: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.
 def _draw_log_linear(
     along: Ridge, uniform: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return draws of u, log-linear in each cell, with cell, share of it and log density."""
+    """Draw u from a log-linear density in each cell; return u, cell, position in it, log
+    density."""
     logs = along.log_density - along.log_density.max()
     width, rise = np.diff(along.places), np.diff(logs)
     steep = np.abs(rise) > 1e-9

@@ -523,9 +523,9 @@ def _tolerances() -> dict[str, Any]:
 
 @compiled_briefly
 def rounding_of_digits(vector: Vector, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """Return the rms error of the cost if each prediction is rounded to its digits, the same for
-    residuals of one standard deviation, and for the median datum the size of the prediction and its
-    last digit in standard deviations of the noise.
+    """Return four numbers: the rms error of the cost if each prediction is rounded to its digits;
+    this error for residuals of one standard deviation; and, for the median datum, the size of the
+    prediction, and its last digit in standard deviations of the noise.
     """
     values = values_at(problem, vector)
     seen = prediction(problem, values)

@@ -90,7 +90,7 @@ def amplitudes(
 
 
 def _best_support(gram: Array, moment: Array, signed: tuple[bool, ...]) -> tuple[Array, Array]:
-    """Return the best of the optima of all supports, and a^T b there: without branches, which is
+    """Return the best of the optima of all supports, and a^T b there. Without branches, this is
     cheap under `vmap`."""
     supports = jnp.array(_supports(signed))
     found, solvable = jax.vmap(_support_optimum, (0, None, None))(supports, gram, moment)

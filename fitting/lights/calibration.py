@@ -2,9 +2,9 @@
 
 With n the normal, v the direction to the camera and l that to the light, a mirror ball shows the
 light where l = 2 (n.v) n - v. A matte ball has a brightness in proportion to n.l. For both, n
-follows from the outline of the ball, whose error rotates all light directions alike. Two careful
-outlines differ by a pixel, which rotates all lights by 0.5 to 0.8 degrees. All lights therefore
-have one joint covariance,
+follows from the outline of the ball. An error of the outline rotates all light directions together.
+Two careful outlines differ by a pixel, which rotates all lights by 0.5 to 0.8 degrees. All lights
+therefore have one joint covariance,
 
     C = J_o C_o J_o' + diag(own),    J_o = d(places)/d(outline).
 

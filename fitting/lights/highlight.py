@@ -47,8 +47,8 @@ def highlight_of(
     """Find the only highlight in a picture of a ball, in DN above black.
 
     Its middle is the mean of the directions that the ball reflects to the camera, each weighted by
-    the signal above a level. A mean of pixels would be nearer to the rim than the light's pixel,
-    because directions change faster with the pixel there.
+    the signal above a level. A mean of pixel positions would be too near the rim, because there the
+    reflected direction changes faster with the pixel.
     """
     seen = signal[ball]
     level, peak = float(np.median(seen)), float(seen.max())

@@ -157,7 +157,7 @@ def _unlit_side(
 
 
 def _middle(readings: Float[np.ndarray, " pixels"]) -> float:
-    """Return the mean of readings near their median, which is finer than a code."""
+    """Return the mean of readings near their median; the mean is not limited to whole codes."""
     median = np.median(readings)
     off = np.abs(readings - median)
     return float(np.mean(readings[off <= 1 + 3 * 1.4826 * np.median(off)]))

@@ -87,8 +87,8 @@ _CONCENTRATION = Parameter("concentration", symbol="c", unit="1/rad", transform=
 _FACET_ROUGHNESS = Parameter("roughness", symbol="α", unit="1", transform="log")
 _BODY_ROUGHNESS = Parameter("roughness", symbol="σ", unit="rad", transform="log")
 _SHARE_OF_ROUGHNESS = Parameter("roughness", symbol="r", unit="1", transform="log")
-# Searched range of each shape, by its symbol. A body of the least roughness differs from Lambert's
-# by less than a millionth up to 87 degrees from the normal.
+# Searched range of each shape, by its symbol. A body of the smallest roughness differs from
+# Lambert's model by less than a millionth up to 87 degrees from the normal.
 SEARCHED = {
     "n": (0.5, 20_000.0),
     "c": (0.5, 100.0),

@@ -202,23 +202,23 @@ def photometric_stereo(
         lowest: readings at or below this number are left out as shadow, in the unit of the images.
             Readings that the other images predict to be less than three standard deviations above
             this number are also left out. The noise of dark readings is estimated from readings
-            below 0, or from the residuals of dim pixels. Within three standard deviations of it, a
-            reading is left out even if fewer than three directions of light remain.
+            below 0, or from the residuals of dim pixels. A reading within three standard deviations
+            of `lowest` is left out even if fewer than three directions of light remain.
         highest: readings at or above this number are left out as clipped. Readings that the other
             images predict to be less than three standard deviations below this number are also left
             out. If `highest` is None and many readings equal the largest reading, the largest
             reading is used as the limit, and a finding says so.
         robust: whether to leave out readings that the other images contradict, as in highlights and
-            cast shadows. A reading is left out if two conditions are met. The reading differs by
-            more than 2.5 standard deviations from the fit of least absolute residuals. And a
-            difference as large as that from the least-squares fit of the other readings would occur
-            by chance in fewer than one of a hundred pixels. This test needs at least six usable
-            lights. With five lights, four readings leave one residual only, so that hardly any
-            reading is left out, and the errors are as large as the contradiction. With two wrong
-            readings among six, as at the rim of an object, a wrong one may remain and the normal be
-            wrong by 0.25 rad. An image that the others contradict in most pixels is left out as a
-            whole, and a finding names it. Of at least five images, an image that is brighter or
-            darker than predicted by one factor in all pixels is also left out.
+            cast shadows. A reading is left out if two conditions are met. First, it differs by more
+            than 2.5 standard deviations from the fit of least absolute residuals. Second, its
+            difference from the least-squares fit of the other readings is so large that chance
+            would cause it in fewer than one of a hundred pixels. This test needs at least six
+            usable lights. With five lights, the fit of four readings has only one residual. Then
+            hardly any reading is left out, and the standard deviations include the contradiction.
+            With two wrong readings among six, as at the rim of an object, a wrong one may remain
+            and the normal be wrong by 0.25 rad. An image that the others contradict in most pixels
+            is left out as a whole, and a finding names it. Of at least five images, an image that
+            is brighter or darker than predicted by one factor in all pixels is also left out.
         model: reflectance model, one of those that `calibrate` fits. A lobe is added to a
             Lambertian surface whose albedo differs between pixels. All pixels of a material share
             the amplitude and the shape of the lobe, or the roughness. Facets have an index of
@@ -439,7 +439,8 @@ class _Hollow:
     axes: Float[np.ndarray, "3"]
 
     def added(self, g: np.ndarray, white: float, scale: int = 1) -> np.ndarray | None:
-        """Return the readings of interreflection on a surface of this g; None without a hollow."""
+        """Return the readings that interreflection adds on a surface of this g; None without a
+        hollow."""
         albedo = np.linalg.norm(g, axis=-1)
         exchange = exchange_of(g / albedo[..., None] * self.axes, scale=scale)
         if exchange is None:
@@ -448,7 +449,8 @@ class _Hollow:
         return share * exchange.irradiance(np.nan_to_num(self.stack))
 
     def change(self, g: np.ndarray, added: Images) -> np.ndarray:
-        """Return the change of g if `added` is in the readings, by least squares of lit ones."""
+        """Return the least-squares change of g from lit readings if `added` is part of the
+        readings."""
         flat = g.reshape(-1, 3)
         lit = self.between.reshape(len(self.stack), -1)
         lit = lit & (np.nan_to_num(predicted(self.rows, flat)) > 0)
@@ -489,8 +491,9 @@ def _without_interreflection(
     white: float,
     white_sd: float,
 ) -> tuple[Stereo, tuple[str, ...]]:
-    """Remove the light that parts of the surface send each other. The shape of each round gives the
-    readings of the next, first by changes of least squares, then by whole estimates. The standard
+    """Remove the light that parts of the surface send each other. The shape gives the
+    interreflected light, which is subtracted before the next estimate of the shape. In an inner
+    loop the shape changes by least squares; an outer loop repeats the whole estimate. The standard
     deviations include the error of `white`, the last change, and the difference from facets of
     twice the size."""
     found, change = first, np.inf
@@ -657,8 +660,8 @@ def _infinite_finding(count: int) -> tuple[str, ...]:
 
 
 def _wrapped_finding(images: ArrayLike) -> tuple[str, ...]:
-    """Return a sentence on unsigned integers of which some lie near the largest of their type,
-    apart from all others."""
+    """Return a sentence if some unsigned integers lie near the largest number of their type, far
+    above all others, as after a subtraction that passed below 0."""
     codes = np.asarray(images)
     if codes.dtype.kind != "u":
         return ()
@@ -1190,8 +1193,8 @@ def _agreeing(
 def _contradicted_pixels(
     rows: Rows, readings: Readings, counts: Counted, between: Counted, limits: Limits
 ) -> tuple[Bool[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return two masks of pixels. In the first, the readings that contradict the fit are as many as
-    those that support it, or nearly as many readings agree on another normal. In the second, the
+    """Return two masks of pixels. In the first, at least as many readings contradict the fit as
+    support it, or nearly as many readings agree on another normal. In the second, the
     readings scatter much more than usual."""
     g, _, variance, used = _least_squares(rows, readings, counts)
     scatter = np.sqrt(variance)

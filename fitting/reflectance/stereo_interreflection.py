@@ -5,8 +5,8 @@ factors F and radiosities B. If a surface that reflects all light has the albedo
 unit of rho, the readings m_j of the facets are `white` B_j. In each image, interreflection
 therefore adds rho_i / white sum_j F_ij m_j to the reading of facet i. The sum contains measured
 readings only, so shadows and several reflections need no model. The shape comes from the normals:
-slopes are integrated over a coarse grid of facets. Normals without the added light give the next
-shape.
+slopes are integrated over a coarse grid of facets. The normals after subtraction of the added light
+give the next shape.
 
 Source:
     Nayar, Ikeuchi and Kanade, "Shape from Interreflections", International Journal of Computer
@@ -140,8 +140,8 @@ def _block_means(images: Float[np.ndarray, "n h w"], block: int) -> Float[np.nda
 
 
 def _integrated(normals: Normals, known: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights in pixels, NaN where unknown, and labels of the connected parts: least squares
-    of the differences of neighbours, which are the means of their slopes."""
+    """Return heights in pixels, NaN where unknown, and labels of the connected parts. The heights
+    fit the differences of neighbours, which are the means of their slopes, by least squares."""
     facing = np.where(known, normals[..., 2], 1)
     number = np.where(known, np.cumsum(known).reshape(known.shape) - 1, -1)
     starts, ends, rise = [], [], []

@@ -243,7 +243,7 @@ def _warn_of_contradictions(
 def _whole_turn(
     numbers: _Numbers, angles: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complete a type C lamp to 360 degrees, by the symmetry that its first and last angle imply."""
+    """Complete a type C lamp to 360 degrees, by the symmetry that its end angles imply."""
     if len(angles) == 1:
         return angles[:1], table
     ends = float(angles[0]), float(angles[-1])

@@ -58,8 +58,8 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
 
 
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
-    """Return sentences on whether, over several materials, lobes about the half vector fit better,
-    as in the literature, and why.
+    """Return sentences on whether, over several materials, lobes about the half vector fit better
+    than lobes about the mirror direction, as in the literature, and why.
     """
     return evaluate_findings(OVER_MATERIALS, calibrations)
 

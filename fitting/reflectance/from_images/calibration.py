@@ -305,8 +305,9 @@ def _error_in_srgb(fit: ChannelFit) -> float:
 
 
 def _reasons_of_curved(fits: Sequence[ChannelFit]) -> dict[str, dict[str, str]]:
-    """Return the reasons why channels of encoded images have no numbers. A channel has none if its
-    residuals are correlated, because the error of its curve is then in no interval."""
+    """Return the reasons why channels of encoded images are reported without numbers. This is the
+    case if a channel's residuals are correlated, because no interval then includes the error of its
+    curve."""
     names = [parameter.name for parameter in parameter_space(fits[0].requested)]
     curved = [fit.channel for fit in fits if fit.design_effect > CORRELATED]
     return {channel: dict.fromkeys(names, NO_GAMMA) for channel in curved}

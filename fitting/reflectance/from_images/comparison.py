@@ -39,9 +39,9 @@ class ModelScore:
     channel: str
     fitted_error: float  # relative RMS on the lights of the fit
     predicted_error: float | None  # on the held-out ones; None without any
-    parameters: int  # how many
-    aic: float  # less the best model's
-    bic: float  # less the best model's
+    parameters: int  # number of parameters
+    aic: float  # difference from the best model's AIC
+    bic: float  # difference from the best model's BIC
     effective_size: float  # number of independent samples with the same information
     # sums of squared errors and of squared signals on the held-out lights; None without any
     by_light: Float[np.ndarray, "lights 2"] | None

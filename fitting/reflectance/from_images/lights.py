@@ -124,7 +124,7 @@ def likeliest_turns(
     """Return the most likely rotations of the lights' directions, (lights, 2), for the parameters
     that are best for these rotations. The prediction is linearised about the rotations `turns` and
     the parameters. (With fixed parameters, the alternation would stop far from the optimum where
-    parameters and rotations change the prediction alike.)
+    parameters and rotations change the prediction in the same way.)
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
     left = (samples.dn - prediction.dn) * inverse_deviation(samples)

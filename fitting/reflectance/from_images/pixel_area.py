@@ -19,7 +19,7 @@ from .samples import Samples, predict
 from .signal import Vector, parameter_space
 
 NEAR, FAR = 3.0, 3.5  # standard errors of a from 0 and from 1 for pixels that are points
-MOST = 0.5  # a of points; a surface that no model describes gives any number
+MOST = 0.5  # largest |a| of points; if no model describes the surface, a may have any value
 
 
 class AreaShare(NamedTuple):
@@ -40,9 +40,9 @@ class AreaShare(NamedTuple):
 def recognise_points(
     observation: Photographs, vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
 ) -> Photographs:
-    """Return the photographs, with pixels as points if the fit of one channel shows that they are,
-    or with a finding if it does not show it and that matters. The `samples` have the fit's
-    deviations and means over pixels; `vector` is its optimum."""
+    """Return the photographs. If the fit of one channel shows that pixels are points, they are
+    treated as points. If the fit cannot decide and the difference matters, a finding says so. The
+    `samples` have the fit's deviations and means over pixels; `vector` is its optimum."""
     share, error, _, moves = area_share(vector, samples, light)
     if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
         sentence = (
