@@ -18,15 +18,24 @@ Duff, "Compositing Digital Images", SIGGRAPH 1984.
 import warnings
 from collections.abc import Callable
 from functools import reduce
+from typing import overload
 
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
+from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, smallest_divisor
-from ..core._types import Scalars, as_relative, check_choice, is_known, map_beside, print_by_name
+from ..core._types import (
+    AMOUNT,
+    Scalars,
+    as_relative,
+    check_choice,
+    is_known,
+    map_beside,
+    print_by_name,
+)
 from ..core._warnings import warn_caller
 from ..point_ops import srgb_decode, srgb_encode
 
@@ -55,8 +64,15 @@ _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]]
 }
 
 
+@overload
+def over(front: Layer, back: Layer) -> Layer: ...
+@overload
+def over(front: Layer, back: Layer, *, alpha_sd: Alpha) -> tuple[Layer, Layer]: ...
 @takes_numbers
-def over(front: Layer, back: Layer) -> Layer:
+@takes_range(alpha_sd=AMOUNT)
+def over(
+    front: Layer, back: Layer, *, alpha_sd: Alpha | None = None
+) -> Layer | tuple[Layer, Layer]:
     """Composite front + (1 - alpha) back: the front hides the back in proportion to its coverage.
 
     The operator is associative, not commutative.
@@ -64,19 +80,34 @@ def over(front: Layer, back: Layer) -> Layer:
     Args:
         front: (..., bands + 1) premultiplied relative light and coverage.
         back: the same channels.
+        alpha_sd: (..., 1) standard deviation of the front's coverage, no unit, as `matte_errors`
+            returns it. The straight colour of the front, light divided by coverage, counts as
+            exact.
 
     Returns:
-        (..., bands + 1), a layer.
+        (..., bands + 1), a layer. With `alpha_sd` also the standard deviations of its channels, the
+        same shape: |c - back| alpha_sd, where c is the straight colour and coverage 1. Where the
+        coverage is 0, the colour is unknown and counts as black; a coverage of at least 1e-6 keeps
+        it.
 
     Raises:
-        ValueError: for unequal channels, and for an alpha outside [0, 1].
+        ValueError: for unequal channels, for an alpha outside [0, 1], and for an `alpha_sd` that is
+            negative.
 
     Example:
         >>> glass = jnp.array([0.2, 0.0, 0.0, 0.5])  # half covering, red
-        >>> print(jv.matting.over(glass, jnp.array([0.0, 0.0, 1.0, 1.0])))
+        >>> blue = jnp.array([0.0, 0.0, 1.0, 1.0])
+        >>> print(jv.matting.over(glass, blue))
         [0.2 0.  0.5 1. ]
+        >>> print(jv.matting.over(glass, blue, alpha_sd=jnp.array([0.1]))[1])
+        [0.04 0.   0.1  0.  ]
     """
-    return composite(front, back, operator="over")
+    made = composite(front, back, operator="over")
+    if alpha_sd is None:
+        return made
+    colour = unpremultiply(front)
+    whole = jnp.concatenate([colour, jnp.ones_like(colour[..., :1])], axis=-1)
+    return made, jnp.abs(whole - back) * alpha_sd
 
 
 @takes_numbers

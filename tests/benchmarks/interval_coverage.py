@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
 from scipy.stats import chi2, norm
@@ -132,21 +133,30 @@ def charts(count: int = 40) -> None:
 
 
 def mattes(count: int = 40) -> None:
+    """Also composites before yellow: of the true colours, by `alpha_sd`, and of estimated ones."""
+    new = np.broadcast_to([0.9, 0.8, 0.2, 1.0], (24, 24, 4))
+    colours = jax.jit(jax.vmap(matting.estimate_foreground, (None, 0)))
+    names = "alpha", "over yellow", "over yellow, estimated colours"
     for texture in (0.0, 0.05, 0.1):
-        of_alpha, of_over = [], []
+        found = {name: [] for name in names}
         for seed in range(count):
-            image, trimap, alpha, _ = matte.hair(100 + seed, texture=texture)
-            found = matting.matte_errors(jax.random.key(seed), image, trimap)
+            image, trimap, alpha, (front, _) = matte.hair(100 + seed, texture=texture)
+            one = matting.matte_errors(jax.random.key(seed), image, trimap)
             unknown = (trimap > 0.1) & (trimap < 0.9)
-            sd = np.maximum(np.asarray(found.alpha_sd), 1e-3)
-            of_alpha.append(((found.alpha - alpha) / sd)[unknown])
-            made, true, *draws = (
-                np.asarray(a + (1 - a) * 0.3) for a in (found.alpha, alpha, *found.draws)
+            every = jnp.maximum(jnp.concatenate([one.alpha[None], one.draws]), 1e-6)
+            made, sd = matting.over(
+                matting.premultiply(jnp.asarray(front), every[0]), new, alpha_sd=one.alpha_sd
             )
-            sd = np.sqrt(np.mean((np.array(draws) - made) ** 2, axis=0))
-            of_over.append(((made - true) / np.maximum(sd, 1e-3))[unknown])
-        row(texture, "alpha", count, *shares(np.concatenate(of_alpha)))
-        row(texture, "over grey", count, *shares(np.concatenate(of_over)))
+            own = matting.premultiply(colours(jnp.asarray(image), every)[0], every)
+            drawn = matting.over(own, jnp.broadcast_to(new, own.shape))
+            spread = jnp.sqrt(jnp.mean((drawn[1:] - drawn[0]) ** 2, axis=0))
+            true = alpha * front + (1 - alpha) * new[..., :3]
+            pairs = (one.alpha - alpha, one.alpha_sd), (made[..., :3] - true, sd[..., :3])
+            pairs = *pairs, (drawn[0, ..., :3] - true, spread[..., :3])
+            for name, (off, size) in zip(names, pairs, strict=True):
+                found[name].append(np.asarray(off / jnp.maximum(size, 1e-3))[unknown])
+        for name, z in found.items():
+            row(texture, name, count, *shares(np.concatenate(z)))
 
 
 def close(count: int = 10) -> None:

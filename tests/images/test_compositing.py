@@ -76,6 +76,21 @@ def test_nothing_and_everything():
     np.testing.assert_array_equal(c.over(opaque, A), opaque)
 
 
+def test_an_error_of_the_coverage_moves_the_composite():
+    """Against draws of the coverage, and the exact error of a pixel that the front hides."""
+    own, behind, sd = np.asarray(A), np.asarray(B), RNG.uniform(0.01, 0.1, (4, 5, 1))
+    made, found = c.over(A, B, alpha_sd=sd)
+    np.testing.assert_array_equal(made, c.over(A, B))
+    alpha = own[..., 3:] + sd * np.random.default_rng(0).normal(size=(4000, 4, 5, 1))
+    front = own / own[..., 3:] * alpha
+    drawn = (front + (1 - alpha) * behind).std(axis=0)
+    np.testing.assert_allclose(found, drawn, rtol=0.06)  # five standard errors
+    hidden = c.over(jnp.array([0.5, 1.0]), jnp.array([0.2, 1.0]), alpha_sd=0.1 * jnp.ones(1))[1]
+    np.testing.assert_allclose(hidden, [0.03, 0], rtol=1e-12)
+    with pytest.raises(ValueError, match="alpha_sd"):
+        c.over(A, B, alpha_sd=-sd)
+
+
 def test_straight_and_premultiplied():
     straight = jnp.asarray(RNG.uniform(size=(4, 5, 3)))
     alpha = A[..., 3:]
