@@ -32,8 +32,9 @@ VIEWS = (*((width, "light") for width in WIDTHS), (WIDTHS[1], "dark"))
 VIEWS_OF_REFERENCE = VIEWS[:2]
 WHOLE = [(width, scheme) for scheme in ("light", "dark") for width in WIDTHS]
 WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth]"""
-# Of what lies in the article, the theme's scroller: what reaches beyond it, or is cut by its own
-# box, and does not lie in a box that scrolls; on a laptop code and tables need not scroll either.
+# Find content of the article, except the theme's scroller, that extends beyond the article or is
+# clipped by its own box, and is not in a scrolling box. On a laptop, code and tables must not need
+# to scroll either.
 CUT = """wide => {
     const article = document.querySelector('.bd-article-container')
     if (!article) return []

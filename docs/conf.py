@@ -1,4 +1,5 @@
-"""The site: built with warnings as errors by `sphinx-build -W --keep-going docs docs/_build`."""
+"""Configuration of the site, which `sphinx-build -W --keep-going docs docs/_build` builds with
+warnings as errors."""
 
 import sys
 import urllib.request
@@ -9,7 +10,7 @@ import numpy.typing
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-# Types print by the names of aliases, not as the unions that these stand for.
+# Types are printed by the names of their aliases, not as the unions that the aliases stand for.
 for typed in (numpy.typing, jax.typing):
     typed.ArrayLike = type("ArrayLike", (), {"__module__": typed.__name__})
 
@@ -60,7 +61,7 @@ intersphinx_mapping = {  # empty without a network: the build needs none
 if not all(reachable(address) for address, _ in intersphinx_mapping.values()):
     intersphinx_mapping = {}
 
-# Pages of wide tables, which have the room of the contents beside them.
+# Pages with wide tables, which omit the list of contents to have more width.
 TABLES = ("errors", "coverage", "comparison", "effects", "foreign_inputs", "speed")
 
 html_theme = "pydata_sphinx_theme"
@@ -83,4 +84,4 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": [], "install": [], "tutorial": []}  # pages without pages below them
+html_sidebars = {"index": [], "install": [], "tutorial": []}  # pages that have no subpages

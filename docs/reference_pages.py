@@ -15,8 +15,8 @@ import fitting
 import jaxvision
 
 ROOTS = jaxvision, fitting
-BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
-GROUPS = {  # of the reference's front page; what no group names is machinery
+BASICS = "arrays"  # the page of names defined at the root of `jaxvision`: types, vectors, norms
+GROUPS = {  # on the reference's front page; modules in no group count as machinery
     "Scenes and surfaces": "scene geometry brdf rendering transport effects",
     "Light": "lights spectra",
     "Cameras and sensors": "shot optics sensor development",
@@ -41,7 +41,7 @@ TOPICS = {  # of what `jaxvision` itself offers, by the module that defines it
     "Modules": "",
 }
 
-# A dot, blanks and a capital; not the dot of an initial or of a word that is cut short.
+# A dot, blanks and a capital, but not the dot of an initial or an abbreviation.
 SENTENCE_END = re.compile(
     r"(?<=\.)(?<!\b[A-Z]\.)(?<!\bal\.)(?<!\be\.g\.)(?<!\bi\.e\.)(?<!\b[Ff]ig\.)(?<!\b[Ee]q\.)"
     r"(?<!\bcf\.)(?<!\bvs\.)(?<!\bDr\.)\s+(?=[A-Z`])"
@@ -146,7 +146,7 @@ def reference_pages(folder):
         write(folder / f"{page}.rst", text)
     for page in folder.glob("*.rst"):
         if page.stem not in made:
-            page.unlink()  # of a module that is no more
+            page.unlink()  # its module no longer exists
     write(folder / "modules.txt", grouped(pages))
     return pages
 

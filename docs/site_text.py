@@ -3,7 +3,7 @@
 import re
 import sys
 
-# What stands around names of types as they print themselves.
+# Text that surrounds the names of types when they are printed.
 OF_TYPES = re.compile(
     r"<class '|'>|~?\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\.core\._vector)\."
 )

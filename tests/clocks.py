@@ -2,7 +2,7 @@
 
 
 class Clock:
-    """Seconds that the problem's own calls advance."""
+    """A clock in seconds that only the problem's own calls advance."""
 
     def __init__(self):
         self.now = 100.0

@@ -1,4 +1,5 @@
-"""Error against time on problems whose error is known in closed form, by a clock of their own."""
+"""Tests `curve` and `choose` on problems whose errors have closed forms, timed by a simulated
+clock."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -20,14 +21,15 @@ from jaxvision.accuracy.records import Order
 from jaxvision.accuracy.reference import mean_of
 from jaxvision.errors import InputError
 
-LENGTH = 400  # numbers of a result, where it stands for a picture
+LENGTH = 400  # numbers in a result that stands for a picture
 
 
-STILL = Clock()  # by which everything fits into any budget
+STILL = Clock()  # never advances, so everything fits into any budget
 
 
 def quadrature(rule, *, cost=lambda n: 1e-3 * n, clock=None, compiling=0.0):
-    """The integral of exp(c x) over [0, 1] for many c, by a rule of n nodes."""
+    """Return the problem of integrating exp(c x) over [0, 1] for many c by a rule of n nodes, and
+    the exact integrals."""
     c = np.linspace(-2, 2, LENGTH)[:, None] + 1e-9
 
     def prepare(settings):
@@ -46,7 +48,7 @@ def quadrature(rule, *, cost=lambda n: 1e-3 * n, clock=None, compiling=0.0):
 
 
 def law(found):
-    """The order that was fitted."""
+    """Return the fitted order of a curve."""
     assert found.order is not None
     return found.order
 
@@ -61,7 +63,8 @@ def gauss(n):
 
 
 def monte_carlo(settings_sd=1.0, *, size=LENGTH, cost=lambda n: 1e-3 * n, clock=None, law=-0.5):
-    """Means of n draws: the error is Gaussian of a known standard deviation."""
+    """Return a problem whose result is means of n draws, with a Gaussian error of known standard
+    deviation."""
 
     def prepare(settings):
         n = settings["n"]
@@ -84,8 +87,8 @@ RANDOM = Knob(
 
 
 def test_the_order_of_the_midpoint_rule_and_the_floor_of_its_reference():
-    """Order -2, but for the reference, which at a 16th of the smallest error steepens it by a
-    hundredth; and the reference, the rule of 256 nodes, is as far off as it says."""
+    """The order is -2, and the reported error of the reference (256 nodes) is its true error. The
+    reference's error, a 16th of the smallest error, makes the measured order steeper by 1 %."""
     clock = Clock()
     problem, exact = quadrature(midpoint, clock=clock)
     found = curve(problem, N, clock=clock)
@@ -104,7 +107,8 @@ def test_the_order_of_the_midpoint_rule_and_the_floor_of_its_reference():
 
 
 def test_gauss_converges_geometrically():
-    """By a factor a node: a straight line against the setting, not against its logarithm."""
+    """A Gauss rule with n nodes converges geometrically, so the fitted line is against n and not
+    log n."""
     clock = Clock()
     problem, exact = quadrature(gauss, clock=clock)
     knob = replace(
@@ -135,7 +139,8 @@ def test_monte_carlo_has_order_one_half_and_its_reference_knows_its_error():
 
 
 def test_a_kronecker_set_is_better_than_independent_draws():
-    """Shifted multiples of the golden ratio on a smooth integrand: steeper than -1/2."""
+    """Shifted multiples of the golden ratio integrate a smooth function with an order below
+    -1/2."""
     golden = (5**0.5 - 1) / 2
     c = np.linspace(-2, 2, 64)[:, None]
 
@@ -153,7 +158,7 @@ def test_a_kronecker_set_is_better_than_independent_draws():
 
 
 def test_a_slow_setting_is_not_chosen():
-    """As accurate as the next finer one, and ten times as slow."""
+    """The setting is as accurate as the next finer one, and ten times as slow."""
     clock = Clock()
     slow = monte_carlo(clock=clock, cost=lambda n: 5.0 if n == 64 else 1e-3 * n)
     knob = replace(RANDOM, whole=False)
@@ -177,7 +182,8 @@ def test_a_lucky_seed_is_not_chosen():
 
 @pytest.mark.parametrize("knob", [N, RANDOM])
 def test_with_a_wrong_reference_nothing_is_chosen(knob):
-    """One that disagrees with itself: its own error says so, and all points are hollow."""
+    """A reference that disagrees with itself has a large error, so all points are hollow and
+    nothing is chosen."""
     plain = quadrature(midpoint)[0] if knob is N else monte_carlo()
 
     def prepare(settings):
@@ -196,8 +202,8 @@ def test_with_a_wrong_reference_nothing_is_chosen(knob):
 @pytest.mark.sweep
 @pytest.mark.parametrize(("size", "whole"), [(1, False), (1, True), (10, False), (LENGTH, True)])
 def test_a_chosen_setting_meets_its_tolerance_with_fresh_seeds(size, whole):
-    """In at least 95 of 100 trials, for results of one number too, whose errors scatter by their
-    own size; the fresh run is not among those that chose."""
+    """At least 95 of 100 chosen settings meet the tolerance in a run that did not take part in the
+    choice. This includes results of a single number, whose errors vary by 100 %."""
     met = 0
     for trial in range(100):
         rng = np.random.default_rng(trial)
@@ -219,7 +225,8 @@ def test_a_chosen_setting_meets_its_tolerance_with_fresh_seeds(size, whole):
 
 
 def test_a_bias_is_measured_by_equal_seeds():
-    """A knob that shifts by 1 / n^2 a result that scatters by far more."""
+    """The setting n shifts the result by 1 / n^2, which is far smaller than the result's random
+    scatter. Runs with equal seeds cancel the scatter."""
     c = np.linspace(1, 2, 10_000)
 
     def prepare(settings):
@@ -278,8 +285,8 @@ def test_an_interrupt_keeps_what_was_measured():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_a_bias_is_off_by_is_known_after_an_interrupt(seed):
-    """From the steps between the settings that were run with both seeds."""
+def test_the_error_of_a_bias_is_known_after_an_interrupt(seed):
+    """The bias follows from the differences between the settings that were run with both seeds."""
     plain, exact = quadrature(midpoint)
 
     def prepare(settings):
@@ -304,7 +311,7 @@ def test_what_a_bias_is_off_by_is_known_after_an_interrupt(seed):
 
 
 def midpoint_of(n):
-    """The integral of exp(c x) by n nodes."""
+    """Return the integral of exp(c x) by the midpoint rule with n nodes."""
     return quadrature(midpoint)[0].prepare({"n": n})(0)
 
 
@@ -326,7 +333,8 @@ def test_an_interrupt_while_results_are_compared_loses_none(monkeypatch):
 
 
 def test_a_setting_that_the_problem_refuses_is_left_out_and_says_why():
-    """Too few pixels for a fit, or a part of them with one seed: the others are still measured."""
+    """The problem refuses a setting, with one or all seeds, for too few pixels. The other settings
+    are still measured."""
 
     def prepare(settings):
         def compute(seed):
@@ -377,8 +385,8 @@ def test_an_order_that_is_not_known_is_no_number(order, text):
     assert str(order) == text
 
 
-def test_of_settings_whose_times_cannot_be_told_apart_the_most_accurate_is_chosen():
-    """None of them inferred; a declared order is no measurement."""
+def test_of_settings_with_indistinguishable_times_the_most_accurate_is_chosen():
+    """The chosen setting is a measured one, because a declared order is not a measurement."""
     clock = Clock()
     found = curve(monte_carlo(clock=clock, cost=lambda n: 1e-3), RANDOM, clock=clock)
     chosen = choose(found, tolerance=0.3)
@@ -409,7 +417,8 @@ def test_several_norms_are_kept():
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 @pytest.mark.parametrize("knob", [N, RANDOM])
 def test_a_result_that_is_not_finite_is_left_out_and_says_so(knob, wrong):
-    """In all settings, in the first, in the reference: what is left has an error all the same."""
+    """The non-finite result is in all settings, in the first, or in the reference. The remaining
+    settings still have errors."""
 
     def broken(*lost):
         def prepare(settings):
@@ -438,7 +447,7 @@ def test_a_result_that_is_not_finite_is_left_out_and_says_so(knob, wrong):
 @pytest.mark.parametrize("knob", [N, RANDOM])
 @pytest.mark.parametrize("at", [32, 128, 1024])
 def test_a_setting_that_fails_loses_no_other(knob, at):
-    """As one that needs more memory than there is, among the settings or in the reference."""
+    """A setting or a reference that needs more memory than there is must not affect the others."""
     plain = quadrature(midpoint)[0] if knob is N else monte_carlo()
 
     def prepare(settings):
@@ -456,8 +465,9 @@ def test_a_setting_that_fails_loses_no_other(knob, at):
         curve(Problem("large", prepare), knob, settings=(at, 2 * at), clock=STILL)
 
 
-def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
-    """All seeds agree, and no finer setting could be run."""
+def test_the_error_of_a_reference_includes_a_bias_that_was_declared_random():
+    """The knob is declared random, but all seeds agree, so the error is a bias. No finer setting
+    could be run, so the reference's error must include the bias."""
     knob = replace(RANDOM, settings=(4, 8), reference=())
     found = curve(
         Problem("biased", lambda s: lambda seed: np.full(9, 1 + 1 / s["n"] ** 2)), knob, clock=STILL
@@ -469,8 +479,9 @@ def test_a_bias_of_what_was_taken_for_chance_is_in_the_error_of_its_reference():
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("alone", [False, True])
-def test_a_rule_without_chance_is_no_truth_for_itself(dtype, alone):
-    """The mean of seven equal results differs from them by rounding, which is not their error."""
+def test_a_deterministic_rule_is_not_its_own_reference(dtype, alone):
+    """The mean of seven equal results differs from them by rounding, and this difference is not
+    their error."""
     shape, clock = np.random.default_rng(0).uniform(0.5, 1.5, LENGTH), Clock()
 
     def prepare(settings):
@@ -498,8 +509,8 @@ def test_a_rule_without_chance_is_no_truth_for_itself(dtype, alone):
             choose(found, tolerance=tolerance)
 
 
-def test_the_mean_of_what_is_cut_off_is_cut_off_after_the_mean():
-    """Cut before, it would be darker; and its error is the scatter of means made anew."""
+def test_the_mean_of_clipped_results_is_clipped_after_the_mean():
+    """Clipping before the mean would make it darker. The error is the scatter of repeated means."""
     draws = 2 * np.random.default_rng(0).binomial(4, 0.5, (16, 64, LENGTH)) / 4
 
     def cut(values):
@@ -516,9 +527,10 @@ def test_the_mean_of_what_is_cut_off_is_cut_off_after_the_mean():
 
 @pytest.mark.parametrize("law", [-0.7, -1.5, -2.0])
 @pytest.mark.parametrize("reference", [(24, 32), (24,), ()])
-def test_a_law_that_is_taken_for_geometric_may_be_a_power(law, reference):
-    """Gauss's rule on an integrand with an edge falls as a power of the nodes, not by a factor with
-    each; the reference's own error is within 2 times of the truth."""
+def test_a_law_that_is_declared_geometric_may_be_a_power(law, reference):
+    """A Gauss rule converges on an integrand with an edge by a power law, although its knob
+    declares a geometric one. The reported error of the reference is within a factor of 2 of the
+    true one."""
     shape = np.random.default_rng(1).uniform(0.5, 1.5, LENGTH)
     knob = Knob("order", "", "", (1, 2, 4, 8, 16), reference, law="geometric")
     problem = Problem("edge", lambda s: lambda seed: shape * (1 + 0.1 * s["order"] ** law))
@@ -528,8 +540,9 @@ def test_a_law_that_is_taken_for_geometric_may_be_a_power(law, reference):
 
 
 @pytest.mark.parametrize("settings", [(1, 2, 8), (2, 4, 16)])
-def test_three_settings_do_not_tell_a_geometric_law_from_a_power(settings):
-    """So the larger of the two errors counts: a step of six units would leave almost nothing."""
+def test_three_settings_cannot_distinguish_a_geometric_law_from_a_power(settings):
+    """Three settings fit a geometric law and a power law alike, so the larger of the two errors is
+    reported. A geometric law over a step of six units would predict almost no error."""
     knob = Knob("order", "", "", settings, (), law="geometric")
     for law in (-0.7, -1.5, -2.0):
         problem = Problem("edge", lambda s, law=law: lambda seed: np.full(9, 1 + s["order"] ** law))
@@ -539,8 +552,8 @@ def test_three_settings_do_not_tell_a_geometric_law_from_a_power(settings):
 
 @pytest.mark.parametrize("rate", [0.3, 0.63, 0.8])
 @pytest.mark.parametrize("reference", [(16, 24, 32), (16,), ()])
-def test_a_geometric_law_stays_one(rate, reference):
-    """As of paths cut at a depth."""
+def test_a_geometric_law_is_kept(rate, reference):
+    """Paths cut at a depth have a geometric error."""
     knob = Knob("depth", "", "", (2, 3, 4, 6, 8, 12), reference, law="geometric")
     problem = Problem("depth", lambda s: lambda seed: np.full(9, 1 - rate ** s["depth"]))
     found = curve(problem, knob, clock=STILL)
@@ -553,8 +566,8 @@ def test_a_geometric_law_stays_one(rate, reference):
 @pytest.mark.parametrize("order", [-0.5, -1.0, -2.0, -4.0])
 @pytest.mark.parametrize("chance", [False, True])
 def test_the_error_of_a_reference_without_a_closed_form_is_the_true_one(reference, order, chance):
-    """Within 2 times, for settings that are and are not evenly apart, whether all numbers move to
-    one side or each by chance, as where rays decide what a patch sees."""
+    """The reported error is within a factor of 2 of the true one, for settings at equal and unequal
+    ratios, and for errors that shift all numbers together or each at random."""
     c = np.linspace(1, 2, LENGTH)
 
     def result(n):
@@ -586,14 +599,14 @@ def test_wrong_questions_are_sentences(given, sentence):
 
 
 def test_errors_of_rivals_are_those_of_the_midpoint_rule():
-    """The midpoint rule on x^2 over [0, 1] errs by exactly -1 / (12 n^2)."""
+    """The midpoint rule for x^2 over [0, 1] has an error of exactly -1 / (12 n^2)."""
     calls = {n: lambda n=n: np.mean(midpoint(n)[0] ** 2) for n in (1, 10, 100)}
     for trial in error_against_time(calls, 1 / 3, repeats=1):
         np.testing.assert_allclose(trial.error, 3 / (12 * trial.setting**2), rtol=1e-9)
 
 
 def test_times_of_rivals_are_those_of_the_first_call_and_the_median_warm_one():
-    """And they take turns, so that a machine that slows down favours none."""
+    """Competing programs alternate, so that a machine that slows down favours none."""
     turns, clock = [], SimpleNamespace(now=0.0)
 
     def call(setting, costs):
@@ -623,7 +636,7 @@ def test_no_error_is_a_share_of_nothing():
 
 
 def test_a_reference_of_another_shape_is_refused():
-    """Broadcasting (4, 4, 1) and (4, 4) would compare every pixel with others of its row."""
+    """Broadcasting (4, 4, 1) against (4, 4) would compare each pixel with the others of its row."""
     picture = np.arange(16.0).reshape(4, 4)
     assert relative_rms(picture, picture) == 0
     assert relative_rms(np.array([1.0, 3.0]), 2.0) == 0.5

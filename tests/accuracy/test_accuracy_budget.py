@@ -1,4 +1,5 @@
-"""Budgets of measurements: what grows is foreseen, what is foreseen wrongly is given up."""
+"""Tests of time budgets: growing times are predicted, and a measurement that exceeds its prediction
+is abandoned."""
 
 import subprocess
 import sys
@@ -26,8 +27,8 @@ DRAWS = replace(KNOB, random=True, order=-0.5)
 
 
 class Clock:
-    """Seconds that pass while who waits for a call looks at them, as long as the call spends some:
-    a thousandth of a budget of 60 s at each look."""
+    """A clock that advances when a waiting caller reads it, by a thousandth of a 60 s budget, while
+    a call still has time to spend."""
 
     def __init__(self):
         self.now, self.spent, self.done = 0.0, 0.0, threading.Event()
@@ -46,7 +47,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A call that is left behind spends nothing any more."""
+    """Return a clock that stops when a call is abandoned."""
     kept, leave = Clock(), deadlines._Hand.leave
 
     def left_behind(hand, job):
@@ -61,7 +62,7 @@ def clock(monkeypatch):
 
 
 def growing(clock, *, compiling=lambda n: 0.0, running=lambda n: 1e-3):
-    """A result off by 1 / n^2 whose program takes so long to compile, and then to run."""
+    """Return a problem with an error of 1 / n^2 and given times to compile and to run."""
 
     def prepare(settings):
         n, state = settings["n"], {"first": True}
@@ -87,7 +88,7 @@ def growing(clock, *, compiling=lambda n: 0.0, running=lambda n: 1e-3):
 )
 @pytest.mark.parametrize("seconds", [10.0, 60.0])
 def test_growth_is_foreseen_and_the_budget_kept(clock, knob, growth, seconds):
-    """By a factor of 30 from each setting to the next, or by a power."""
+    """The time grows by a factor of 30 from each setting to the next, or by a power law."""
     found = curve(growing(clock, **growth), knob, seconds=seconds, clock=clock)
     assert clock.now <= 1.1 * seconds
     run = [trial.setting for trial in found.trials]
@@ -97,14 +98,16 @@ def test_growth_is_foreseen_and_the_budget_kept(clock, knob, growth, seconds):
 
 
 def test_one_program_from_a_cache_does_not_look_like_growth(clock):
-    """The first setting compiles in no time, all others in 8 s: all fit into two minutes."""
+    """The first setting compiles in no time, as from a cache, and the others in 8 s each. All of
+    them fit into two minutes."""
     first = growing(clock, compiling=lambda n: 0.05 if n == 1 else 8.0)
     found = curve(first, KNOB, seconds=120.0, clock=clock)
     assert not found.not_run
 
 
 def hanging(clock, at):
-    """A program that compiles for ever, without a sign of it in those before."""
+    """Return a problem that never finishes compiling one setting, without any sign of it in earlier
+    settings."""
     plain = growing(clock)
 
     def prepare(settings):
@@ -118,8 +121,9 @@ def hanging(clock, at):
 
 @pytest.mark.parametrize("knob", [KNOB, DRAWS])
 @pytest.mark.parametrize("at", [3, 5, 6, 8])
-def test_what_was_not_foreseen_is_given_up_and_the_rest_kept(clock, knob, at):
-    """In a setting or in a reference; the error of what was run is known all the same."""
+def test_a_setting_that_exceeds_its_prediction_is_given_up_and_the_rest_kept(clock, knob, at):
+    """A setting or a reference takes longer than predicted. The errors of the settings that were
+    run are still known."""
     assumed = replace(knob, reference=(at,)) if at > 5 else knob
     found = curve(hanging(clock, at), assumed, seconds=60.0, clock=clock)
     assert clock.now <= 66.0
@@ -177,9 +181,9 @@ def test_an_interrupt_before_a_later_knob_keeps_the_earlier_ones(clock):
         measure_in_turn(["b"], measure, seconds=60.0, clock=clock)
 
 
-def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
-    """Each setting takes a program of 8 s: none fits into a third of 45 s, all but one into what
-    the two others leave."""
+def test_unused_time_of_other_knobs_goes_to_a_knob_whose_share_was_too_short(clock):
+    """Each setting of one knob compiles for 8 s, so none fits into a third of 45 s, and all but one
+    fit into the time that two quick knobs do not use."""
     slow, quick = growing(clock, compiling=lambda n: 8.0), growing(clock)
     shares = []
 
@@ -204,7 +208,7 @@ def test_time_that_others_leave_is_for_a_knob_whose_share_was_too_short(clock):
 
 
 def test_programs_that_are_kept_are_not_compiled_again_when_a_knob_is_measured_again(clock):
-    """Half of its share is then enough for more settings."""
+    """The second measurement then has time for more settings within half of the knob's share."""
     programs, plain = set(), growing(clock)
 
     def prepare(settings):
@@ -234,8 +238,9 @@ def test_programs_that_are_kept_are_not_compiled_again_when_a_knob_is_measured_a
     assert settings_run(KEPT) > settings_run(WORTH)
 
 
-def test_work_in_time_is_that_of_the_caller(monkeypatch):
-    """Its result, its errors, its precision; and what is left behind ends."""
+def test_work_within_a_time_limit_behaves_as_in_the_caller(monkeypatch):
+    """`run_within` passes on the result, the errors and the precision of the caller, and abandoned
+    work ends."""
     monkeypatch.setattr(deadlines, "TICK", 1e-3)
     assert run_within(lambda: 3, lambda: 1.0) == 3
     with pytest.raises(InputError, match="wrong"):
@@ -271,7 +276,7 @@ def test_a_reference_of_another_shape_is_a_sentence():
 
 
 def test_a_scene_that_cannot_be_begun_in_time_is_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(deadlines, "TICK", 1e-4)  # with its program from an earlier test, too
+    monkeypatch.setattr(deadlines, "TICK", 1e-4)  # even if its program is cached by an earlier test
     (tmp_path / "ball.toml").write_text(BALL)
     with pytest.raises(InputError, match=r"was not compiled and run within 0\.001 s"):
         scene_problem(read_scene(tmp_path / "ball.toml"), seconds=1e-3)
@@ -313,8 +318,9 @@ def test_wrong_limits_and_settings_are_sentences(clock):
 
 
 @pytest.mark.parametrize("end", ["pass", "raise SystemExit(3)", "sys.exit('wrong')"])
-def test_a_command_ends_without_what_it_left_behind(end):
-    """With its own status; the thread would go on for an hour."""
+def test_a_command_ends_without_waiting_for_abandoned_work(end):
+    """The process ends with its own status, although an abandoned thread would run for another
+    hour."""
     script = f"""
 import sys, threading
 from jaxvision.core.interrupts import ending_on_interrupt, leaves_work_behind
@@ -330,8 +336,9 @@ ending_on_interrupt("jaxvision", work)
     assert done.returncode == {"pass": 0, "raise SystemExit(3)": 3}.get(end, 1)
 
 
-def test_what_is_timed_beside_work_that_was_left_behind_says_so(monkeypatch, tmp_path):
-    """It goes on beyond the time that is waited; after its end nothing is said."""
+def test_timings_beside_abandoned_work_are_marked(monkeypatch, tmp_path):
+    """Abandoned work outlasts the waiting time, so timings made while it runs are marked. Later
+    ones are not."""
     monkeypatch.setattr(deadlines, "TICK", 1e-3)
     may_end = threading.Event()
 

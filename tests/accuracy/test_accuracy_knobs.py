@@ -1,4 +1,5 @@
-"""Every approximation of the library has its knob, and every knob turns something."""
+"""Tests that every approximation of the library has a `Knob`, and that every `Knob` changes some
+setting."""
 
 import pytest
 from public_names import arguments_and_fields, ghosts, unknown, words
@@ -9,18 +10,18 @@ from jaxvision.accuracy.examples import example, examples
 from jaxvision.errors import InputError
 from jaxvision.files.scenes.schema import RenderEntry
 
-# A public argument or field of one of these names trades error for time, and needs a knob ...
+# A public argument or field with one of these names trades error for time and needs a `Knob` ...
 WORDS = words("""
 order samples depth count rays paths patches gather moments slots oversampling sigmas members rank
 layers truncate tolerance rtol atol limit max_steps coarse_steps fine_steps roulette strategy rule
 shot_noise thetas phis azimuths polar split steps method dtype interpolation iterations
 max_iterations terms nodes knots panels subdivisions degree refine cutoff precision
 """)
-# (these mean one thing wherever they stand) ...
+# (these have one meaning everywhere) ...
 ANYWHERE = set(words("rule dtype split slots gather truncate shot_noise interpolation"))
-# ... unless it is one of these, where the word means something else: a derivative's order, a map of
-# depth, a count of things, data, a choice between definitions, the dtype of what is asked for, or
-# what takes no less time when it is turned down; or it changes derivatives alone.
+# ... except these, where the word means something else: a derivative's order, a depth map, a count
+# of things, data, a choice between definitions, the dtype of a result, a setting that does not save
+# time when reduced, or one that changes derivatives only.
 OTHER = words("""
 *.gaussians.*.order *.gaussian_kernel.order *.defocus.*.depth *.defocus.*.members *.Sorted.members
 *.split_by_rule.members *.files.scenes.* *.files.records.* *.bounce.count *.rules_of.*
@@ -40,14 +41,14 @@ OTHER = words("""
 
 
 def approximations():
-    """Public arguments and fields with such a word."""
+    """Return the public arguments and fields whose names contain one of `WORDS`."""
     apart = ("jaxvision.effects.", "jaxvision.accuracy.")
     found = arguments_and_fields(jaxvision)
     return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
 
 
 def test_every_approximation_has_a_knob():
-    """A new argument or field of such a name fails here until a knob names it."""
+    """A new argument or field with such a name fails here until a `Knob` includes it."""
     known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
     found = approximations()
     assert len(found) > 60
@@ -56,7 +57,7 @@ def test_every_approximation_has_a_knob():
 
 @pytest.mark.parametrize("word", sorted(set(WORDS) - ANYWHERE))
 def test_an_approximation_that_no_knob_names_is_found(word):
-    """An argument of a function that is not there."""
+    """The planted name belongs to a function that does not exist."""
     known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
     assert unknown([f"jaxvision.filters.planted.planted.{word}"], known + OTHER)
 
@@ -66,9 +67,9 @@ def test_every_pattern_names_something_that_is_there():
     assert not ghosts(patterns, arguments_and_fields(jaxvision))
 
 
-def test_every_knob_turns_something():
-    """A key of `[render]`, or an example of its own."""
-    of_scene = {"light samples", *RenderEntry.model_fields}  # the samples are an order, too
+def test_every_knob_changes_some_setting():
+    """Each knob is a key of `[render]` or has an example of its own."""
+    of_scene = {"light samples", *RenderEntry.model_fields}  # samples occur as an order, too
     assert set(KNOBS) - set(examples()) == set(KNOBS) & of_scene
     assert set(examples()) <= set(KNOBS)
     with pytest.raises(InputError, match="has no example of its own"):
@@ -87,7 +88,8 @@ def test_settings_are_listed_cheapest_first_and_references_are_finer():
 @pytest.mark.sweep("Gaussian cut", "curve table")
 @pytest.mark.parametrize("name", sorted(examples()))
 def test_the_error_of_an_example_is_known_and_falls(name):
-    """From the cheapest to the finest setting; of knobs without an order it may stay."""
+    """The error falls from the cheapest to the finest setting. Without a declared order it may stay
+    equal."""
     problem, knob = example(name), KNOBS[name]
     found = curve(problem, knob, settings=(knob.settings[0], knob.settings[-1]), seconds=1e5)
     assert not found.stopped

@@ -1,5 +1,5 @@
-"""What a chosen setting promises is kept, biases and wrong references included, on problems whose
-error is known in closed form."""
+"""Tests that a chosen setting keeps its promised error, also with biases and wrong references, on
+problems whose errors have closed forms."""
 
 from dataclasses import replace
 
@@ -22,7 +22,8 @@ RMS = float(np.sqrt(np.mean(SHAPE**2)))
 
 
 def shifted(law, *, clock=None):
-    """A result that is half of setting^law too large, all of it to one side; 1 ms a unit."""
+    """Return a problem whose result is too large by the fraction setting^law / 2, at 1 ms a
+    unit."""
     clock = clock or Clock()
 
     def prepare(settings):
@@ -39,7 +40,7 @@ def shifted(law, *, clock=None):
 @pytest.mark.parametrize("reference", [(32, 64), (32,)])
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_bias_meets_its_tolerance_although_its_reference_errs_too(law, reference, whole):
-    """To the same side as the settings, so that every error that was measured is too small."""
+    """The reference errs to the same side as the settings, so every measured error is too small."""
     knob = Knob("n", "", "", (1, 2, 3, 4, 6, 8, 12, 16), reference, order=law, whole=whole)
     problem, clock = shifted(law)
     found = curve(problem, knob, seconds=1e9, clock=clock)
@@ -55,7 +56,7 @@ def test_a_bias_meets_its_tolerance_although_its_reference_errs_too(law, referen
 
 
 def test_the_largest_error_is_bounded_by_the_largest_of_the_reference():
-    """A single number errs: the norm is 100 times the root mean square."""
+    """A single number of the result is wrong, so the maximum norm is 100 times the RMS."""
     clock = Clock()
 
     def prepare(settings):
@@ -75,8 +76,9 @@ def test_the_largest_error_is_bounded_by_the_largest_of_the_reference():
 
 
 @pytest.mark.parametrize("reference", [(256, 512), (256,)])
-def test_a_reference_unlike_all_settings_is_not_believed(reference):
-    """Its settings agree with each other, and the others among themselves."""
+def test_a_reference_that_contradicts_all_settings_is_rejected(reference):
+    """The settings agree with each other, and so do the references, but not the settings with the
+    references."""
 
     def prepare(settings):
         n = settings["n"]
@@ -90,8 +92,9 @@ def test_a_reference_unlike_all_settings_is_not_believed(reference):
             choose(found, tolerance=tolerance)
 
 
-def test_a_bias_is_told_by_the_seeds_it_is_compared_by():
-    """Its further calls are for times alone, and repeat the first seed."""
+def test_a_bias_is_measured_with_two_seeds():
+    """Errors are measured with the first two seeds. Further calls only measure times, and repeat
+    the first seed."""
     seen: set[int] = set()
 
     def prepare(settings):
@@ -106,7 +109,7 @@ def test_a_bias_is_told_by_the_seeds_it_is_compared_by():
 
 
 def test_the_time_of_a_setting_is_the_median_of_its_warm_calls():
-    """Of one slow and three quick ones, quarters apart."""
+    """The warm calls of one setting are one slow and three quick ones. The bounds are quartiles."""
     clock, taken = Clock(), iter([9.0, *(1.0, 2.0, 3.0, 8.0) * 2])
 
     def prepare(settings):
@@ -123,15 +126,16 @@ def test_the_time_of_a_setting_is_the_median_of_its_warm_calls():
     assert (trial.seconds_low, trial.seconds, trial.seconds_high) == (1.75, 2.5, 4.25)
 
 
-# ---------------------------------------------------------------- the next run
+# ---------------------------------------------------------------- the bound on the next run's error
 
 
 @pytest.mark.sweep("10-3", "3000-8")
 @pytest.mark.parametrize("runs", [2, 3, 8])
 @pytest.mark.parametrize("freedom", [1, 10, 3000])
-def test_the_next_error_is_below_its_bound_as_often_as_is_said(runs, freedom):
-    """Of one number, ten and a picture; 97.5 in 100 are promised, within four binomial
-    deviations. Two runs of one number tell least: 96."""
+def test_the_next_error_is_below_its_bound_as_often_as_promised(runs, freedom):
+    """The bound is promised for 97.5 % of the next errors, and 96 % for two runs of one number.
+    Results of one number, ten numbers and a picture keep this within four binomial standard
+    deviations."""
     rng = np.random.default_rng(runs * freedom)
     errors = np.sqrt(rng.chisquare(freedom, (2000, runs + 1)) / freedom)
     bounds = np.array([next_error(seen[:-1]) for seen in errors])
@@ -139,7 +143,7 @@ def test_the_next_error_is_below_its_bound_as_often_as_is_said(runs, freedom):
     said = 0.04 if runs == 2 and freedom == 1 else 0.025
     assert above < said + 4 * np.sqrt(0.025 * 0.975 / 2000)
     assert above > 0.004
-    # of a picture the bounds are near
+    # for a picture the bounds are close to the error
     if freedom == 3000 and runs == 8:
         assert np.median(bounds[:, 2]) < 1.05
         assert np.median(bounds[:, 1]) > 0.95
@@ -152,12 +156,12 @@ def test_the_bounds_on_the_next_error_are_students_and_fishers():
     found = next_error(errors)
     np.testing.assert_allclose(found[0], np.sqrt(np.mean(errors**2)), rtol=1e-12)
     np.testing.assert_allclose(found[1:], np.exp(logs.mean() + np.array([-half, half])), rtol=1e-9)
-    # no farther than one normal number goes
+    # at most the bound for a single Gaussian number
     wide = np.array([0.01, 1.0])
     np.testing.assert_allclose(
         next_error(wide)[2], np.sqrt(np.mean(wide**2) * fisher.ppf(0.975, 1, 2)), rtol=1e-9
     )
-    # never below the largest that was seen, however the others scatter
+    # never below the largest error that was seen, however small the scatter of the others
     assert next_error(np.array([1.0] * 30 + [1.5]))[2] == 1.5
     assert np.isfinite(next_error(np.array([0.0, 1.0]))).all()
 
@@ -175,8 +179,8 @@ def trial_of(setting, error, high):
     return Trial(setting, error, error**2 / high, high, 1.0, 1.0, 1.0, 1.0, seeds=2)
 
 
-def test_points_weigh_in_the_order_by_the_square_of_what_is_known_of_them():
-    """Against NumPy's weighted line."""
+def test_points_are_weighted_in_the_order_by_their_inverse_variance():
+    """The order equals the slope of NumPy's weighted line fit."""
     knob = Knob("n", "", "", (1, 2, 4, 8), (), random=True)
     trials = [
         trial_of(1, 1.0, 1.1),
@@ -192,7 +196,8 @@ def test_points_weigh_in_the_order_by_the_square_of_what_is_known_of_them():
 
 
 def test_a_declared_geometric_law_gives_way_to_a_power_that_describes_the_errors():
-    """As of a Gauss rule across an edge; a law that is geometric stays so."""
+    """A Gauss rule across an edge has a power law. An error that is geometric keeps the declared
+    law."""
     knob = Knob("order", "", "", (1, 2, 4, 8, 16), (), law="geometric")
 
     def order_of(error):
@@ -206,8 +211,9 @@ def test_a_declared_geometric_law_gives_way_to_a_power_that_describes_the_errors
 
 
 @pytest.mark.slow
-def test_the_interval_of_an_order_holds_the_true_one():
-    """In 92 to 99 of 100 cases, and is not five times as wide as the orders scatter."""
+def test_the_interval_of_an_order_covers_the_true_one():
+    """The interval covers the true order in 92 to 99 % of 300 runs, and is at most five times as
+    wide as the scatter of the orders."""
     knob = Knob("n", "", "", (4, 16, 64, 256, 1024), (), order=-0.5, random=True)
     held, found, wide = 0, [], []
     for number in range(300):
@@ -227,14 +233,15 @@ def test_the_interval_of_an_order_holds_the_true_one():
     assert np.median(wide) < 5 * 1.96 * np.std(found)
 
 
-# ---------------------------------------------------------------- the check
+# ---------------------------------------------------------------- the check of a combination
 
 DRAWS = Knob("a", "", "", (4, 16, 64, 256), (1024,), order=-0.5, random=True, whole=True)
 PARTS = Knob("b", "", "", (1, 2, 4, 8), (16,), order=-1.0, whole=True)
 
 
 def both(*, offset=0.0):
-    """Chance by `a` and a bias by `b`; the time is a b plus an offset that neither changes."""
+    """Return a problem with a random error set by `a`, a bias set by `b` and a time of a b plus a
+    constant, with its curves and its clock."""
     clock = Clock()
 
     def prepare(settings):
@@ -253,7 +260,7 @@ def both(*, offset=0.0):
 
 
 @pytest.mark.parametrize(("tolerance", "seconds"), [(0.15, None), (0.1, None), (None, 5.0)])
-def test_the_promise_after_the_check_holds_what_its_reference_is_off_by(tolerance, seconds):
+def test_the_promise_after_the_check_includes_the_error_of_its_reference(tolerance, seconds):
     problem, curves, clock = both()
     best, confirmed = combine_and_check(
         problem, curves, tolerance, seconds, seconds=1e9, clock=clock
@@ -266,7 +273,8 @@ def test_the_promise_after_the_check_holds_what_its_reference_is_off_by(toleranc
 
 
 def test_the_check_measures_the_time_where_factors_do_not_multiply():
-    """Half a second that no knob changes: factors tell too little for few draws."""
+    """Half a second of the time depends on no knob, so factors from single knobs predict the
+    combined time badly."""
     problem, curves, clock = both(offset=0.5)
     best = combined(curves, problem.settings, seconds=0.52)
     check = check_combination(problem, curves, best, seconds=1e9, clock=clock)
@@ -281,7 +289,8 @@ def test_the_check_measures_the_time_where_factors_do_not_multiply():
 
 
 def test_a_check_against_a_reference_no_better_than_the_settings_says_nothing():
-    """A bias aside, four draws of the finest are as noisy as what they judge."""
+    """Apart from a bias, four draws of the finest setting are as noisy as the settings to be
+    checked."""
     problem, curves, clock = both()
     noisy = [replace(curves[0], reference=replace(curves[0].reference, setting=4)), curves[1]]
     best = replace(combined(curves, problem.settings, seconds=1.0), settings={"a": 4, "b": 8})

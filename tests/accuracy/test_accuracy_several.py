@@ -1,5 +1,5 @@
-"""Several knobs at once, and what is shown of them, on a problem whose errors are known; the
-commands on a scene of a few pixels."""
+"""Tests of several knobs together, of their tables and pages, on a problem with known errors, and
+of the commands on a scene of a few pixels."""
 
 import json
 import re
@@ -27,7 +27,8 @@ DEPTH = Knob("d", "pieces", "", (2, 3, 4, 6, 8), (16, 24), law="geometric", whol
 
 
 def means(clock, first=0):
-    """Means of n draws off by 1 / sqrt(n), short by 2^-d, at a cost of n d."""
+    """Return means of n draws with a random error of 1 / sqrt(n) and a bias of 2^-d, at a cost of n
+    d."""
 
     def prepare(settings):
         n, d = settings["n"], settings["d"]
@@ -49,8 +50,8 @@ def measured(first=0):
 
 
 def test_a_combination_is_the_cheapest_by_its_own_law():
-    """Within 1.6 times of the least n d with 4^-d + 1 / n <= tolerance^2, whole settings being far
-    apart."""
+    """Its cost is within 1.6 times the least n d with 4^-d + 1 / n <= tolerance^2, because settings
+    are far apart."""
     problem, curves = measured()
     best = combined(curves, problem.settings, tolerance=0.05)
     least = min(n * d for d in DEPTH.settings for n in range(4, 4000) if 4.0**-d + 1 / n <= 0.05**2)
@@ -71,7 +72,7 @@ def test_the_most_accurate_combination_in_a_time():
         combined(curves, problem.settings, tolerance=1e-6)
 
 
-def test_the_check_finds_what_a_combination_errs_by():
+def test_the_check_finds_the_error_of_a_combination():
     problem, curves = measured()
     best = combined(curves, problem.settings, tolerance=0.05)
     error, _ = check_combination(problem, curves, best, seconds=1e9)
@@ -81,7 +82,7 @@ def test_the_check_finds_what_a_combination_errs_by():
 
 
 def without_time_for(name):
-    """Curves of which one has time for the setting that is compiled, and for no other."""
+    """Return curves where one knob has time only for the setting that is already compiled."""
     clock = Clock()
     plain = means(clock)
 
@@ -97,7 +98,7 @@ def without_time_for(name):
     return problem, [curve(problem, k, seconds=s, clock=clock) for k, s in shares.items()]
 
 
-def test_a_bias_without_time_stays_where_it_is_and_is_named():
+def test_a_bias_without_time_keeps_its_setting_and_is_named():
     problem, curves = without_time_for("d")
     assert [trial.setting for trial in curves[1].trials] == [4]
     assert curves[1].taken <= 5.0
@@ -115,7 +116,7 @@ def test_a_bias_without_time_stays_where_it_is_and_is_named():
         combined(curves[1:], problem.settings, tolerance=0.2)
 
 
-def test_without_an_error_of_chance_nothing_is_chosen():
+def test_without_a_random_error_nothing_is_chosen():
     problem, curves = measured()
     trials = tuple(replace(trial, error_high=np.inf, hollow=True) for trial in curves[0].trials)
     with pytest.raises(InputError, match="no error of knob 'n' is known; allow more time"):
@@ -124,8 +125,8 @@ def test_without_an_error_of_chance_nothing_is_chosen():
 
 
 @pytest.mark.parametrize(("beyond", "met"), [(0.0, True), (0.06, True), (5.0, False)])
-def test_what_fresh_runs_find_beyond_the_tolerance_is_tightened_or_refused(beyond, met):
-    """An error that only seeds of the check have."""
+def test_a_combination_that_fails_its_check_is_tightened_or_refused(beyond, met):
+    """Only the seeds of the check have this error."""
     problem, curves = measured()
 
     def prepare(settings):
@@ -164,7 +165,7 @@ def test_the_table_says_settings_times_and_what_was_not_reached():
 
 
 def beside_the_curves():
-    """Errors that only all settings together show: the curves know nothing of 30 % more."""
+    """Return a problem whose joint error is 30 % larger than its curves predict."""
     problem, curves = measured()
 
     def prepare(settings):
@@ -208,7 +209,7 @@ def test_an_interrupt_ends_the_checks_and_keeps_what_they_found():
     problem, curves = measured()
 
     def prepare(settings):
-        if settings["n"] > 5000:  # of 1 %
+        if settings["n"] > 5000:  # the settings for 1 %
             raise KeyboardInterrupt
         return problem.prepare(settings)
 
@@ -218,7 +219,7 @@ def test_an_interrupt_ends_the_checks_and_keeps_what_they_found():
 
 
 def test_settings_that_were_checked_for_a_narrower_tolerance_are_not_run_again():
-    """A bias alone, which the coarsest setting has hardly any of."""
+    """The error is a bias only, which is small even at the coarsest setting."""
     clock, runs = Clock(), []
 
     def prepare(settings):
@@ -235,12 +236,12 @@ def test_settings_that_were_checked_for_a_narrower_tolerance_are_not_run_again()
     first, *others = all_together(problem, curves, seconds=1e9)
     assert first.checked
     assert others == [first, first]
-    assert len(runs) == 4  # one of a reference, three with fresh seeds
+    assert len(runs) == 4  # one run of a reference, and three with fresh seeds
 
 
-def test_the_page_stands_alone_and_follows_the_reader():
-    """No address is fetched, plots are in the colour of the text, and every setting has its
-    label."""
+def test_the_page_is_self_contained_and_follows_the_readers_theme():
+    """The page loads nothing from elsewhere, plots use the colour of the text, and every setting
+    has a label."""
     problem, curves = measured()
     html = page(problem, curves, command="repeat <me>")
     assert html.count("<svg") == 3
@@ -258,7 +259,7 @@ def test_the_page_stands_alone_and_follows_the_reader():
 
 
 def test_a_setting_that_equals_the_reference_stands_on_the_lower_axis():
-    """Beside other programs, and within the axis of times though it is the slowest."""
+    """It is drawn within the axis of times, next to other programs, although it is the slowest."""
     _, curves = measured()
     first, last = curves[0].trials[0], curves[0].trials[-1]
     exact = replace(last, setting="all", error=0.0, seconds=9 * last.seconds)
@@ -368,8 +369,8 @@ integrator = "direct"
 """
 
 
-def test_a_turned_order_is_the_order_that_is_rendered_with(tmp_path):
-    """Whatever other knobs stand at: a rule brings its own order only when it is turned itself."""
+def test_a_changed_order_is_the_order_that_is_rendered_with(tmp_path):
+    """A rule brings its own default order only when the rule itself is the knob that changes."""
     (tmp_path / "lamp.toml").write_text(BALL + LAMP + "order = 2")
     source = read_scene(tmp_path / "lamp.toml")
     names = knobs_of(source, source.render)
@@ -384,8 +385,9 @@ def test_a_turned_order_is_the_order_that_is_rendered_with(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_chance_of_light_is_measured_apart_from_that_of_places_within_pixels(tmp_path):
-    """The edges of the ball are hit elsewhere by each seed, but not where rules are compared."""
+def test_random_errors_of_light_and_of_pixel_positions_are_measured_separately(tmp_path):
+    """Each seed samples the edges of the ball at other positions within pixels. This scatter must
+    not enter where rules for the light are compared."""
     (tmp_path / "lamp.toml").write_text(BALL + LAMP + "samples = 4")
     problem = scene_problem(read_scene(tmp_path / "lamp.toml"))
     apart = {}
@@ -399,7 +401,8 @@ def test_the_chance_of_light_is_measured_apart_from_that_of_places_within_pixels
 
 @pytest.mark.slow
 def test_render_takes_and_remembers_settings(tmp_path, monkeypatch):
-    """Cornell box of 32 x 32 pixels within 20 %."""
+    """The command renders the Cornell box (32 x 32 pixels) within 20 %, and reuses the settings
+    that it stored."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     small = ("--resolution", "32,32", "--no-preview")
     status, said, _ = run(

@@ -1,4 +1,5 @@
-"""Every approximation of a fit has its knob, and every knob turns something."""
+"""Tests that every approximation of a fit has a `Knob`, and that every `Knob` changes some
+setting."""
 
 import json
 import shlex
@@ -24,14 +25,14 @@ from fitting.rig import load_rig
 from jaxvision.accuracy import Knob, Problem, curve
 from jaxvision.errors import InputError
 
-# A public argument or field of one of these names trades error for time, and needs a knob ...
+# A public argument or field with one of these names trades error for time and needs a `Knob` ...
 WORDS = words("""
 tolerance rtol atol max_steps starts draws steps walkers chains acceptance coarse rounds count width
 reach window sampling posterior most_bins simulations repeats iterations max_iterations terms nodes
 knots panels subdivisions degree refine cutoff
 """)
-# ... unless it is one of these, where the word means something else: a result, a number of things
-# or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
+# ... except these, where the word means something else: a result, a number of things or of data,
+# simulated repeats, a quantity shared by several fits, or the subject of a certificate.
 OTHER = words("""
 *.sensitivities.* *.samples.cells_of.width
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
@@ -55,14 +56,14 @@ OTHER = words("""
 
 
 def approximations():
-    """Public arguments and fields with such a word."""
+    """Return the public arguments and fields whose names contain one of `WORDS`."""
     apart = ("fitting.accuracy.",)
     found = arguments_and_fields(fitting)
     return [n for n in found if n.rpartition(".")[2] in WORDS and not n.startswith(apart)]
 
 
 def test_every_approximation_has_a_knob():
-    """A new argument or field of such a name fails here until a knob names it."""
+    """A new argument or field with such a name fails here until a `Knob` includes it."""
     known = [pattern for knob in KNOBS.values() for pattern in knob.sets]
     found = approximations()
     assert len(found) > 40
@@ -74,7 +75,7 @@ def test_every_pattern_names_something_that_is_there():
     assert not ghosts(patterns, arguments_and_fields(fitting))
 
 
-def test_every_knob_turns_something():
+def test_every_knob_changes_some_setting():
     assert set(KNOBS) == set(RIG_KNOBS) | set(EXAMPLES)
     assert not set(RIG_KNOBS) & set(EXAMPLES)
     with pytest.raises(InputError, match="has no example of its own"):
@@ -85,8 +86,9 @@ def gaussian(vector, args):
     return -jnp.sum(vector**2) / 2
 
 
-def test_ends_of_intervals_are_those_of_a_gaussian_to_one_over_the_root_of_the_draws():
-    """Of two standard normal numbers, whose quantiles are known."""
+def test_interval_ends_of_a_gaussian_have_the_monte_carlo_error_of_quantiles():
+    """The quantiles of two standard normal numbers are known, and their Monte Carlo error falls as
+    draws^-1/2."""
     space = tuple(n for name in "ab" for n in scalars(Parameter(name=name), ()))
     density = Density(gaussian, space, jnp.zeros(2), np.eye(2), None)
     turned = chain_knobs(density)["Laplace draws"]
@@ -95,7 +97,7 @@ def test_ends_of_intervals_are_those_of_a_gaussian_to_one_over_the_root_of_the_d
     found = curve(problem, KNOBS["Laplace draws"], seconds=1e5, seeds=32)
     assert found.order is not None
     np.testing.assert_allclose(found.order.exponent, -0.5, atol=0.1)
-    # Var of a quantile: p (1 - p) / (n density^2).
+    # The variance of a quantile is p (1 - p) / (n density^2).
     p = np.array(ENDS)
     of_one = np.sqrt(np.mean(p * (1 - p) / norm.pdf(norm.ppf(p)) ** 2))
     for trial in found.trials:
@@ -133,7 +135,8 @@ def test_the_command_measures_a_rig(lab, tmp_path):
 
 @pytest.fixture
 def two_fits(tmp_path, monkeypatch):
-    """A rig of two fits, each a bias of 1 / n^2, and the fit at which an interrupt comes."""
+    """Return a rig with two fits, each with a bias of 1 / n^2, and the fit at which an interrupt
+    comes."""
     folder = tmp_path / "two fits"
     folder.mkdir()
     (folder / "rig.toml").write_text("[camera]\nbits = 8\n")
@@ -158,8 +161,8 @@ def two_fits(tmp_path, monkeypatch):
 
 
 def test_a_rig_of_two_fits_is_one_json_document(two_fits, tmp_path):
-    """Its command repeats it as it was asked for, blanks in paths and folder of the page included;
-    pages are in folders of their own."""
+    """The command in the document repeats the call, with blanks in paths and the page's folder.
+    Pages are in separate folders."""
     out = tmp_path / "a page"
     asked = ["accuracy", two_fits.folder, "--knob", "pixels", "--seconds", 9, "--out", out]
     status, said, _ = called(app, *asked, "--json")
@@ -192,8 +195,8 @@ def test_an_interrupt_ends_the_command_and_keeps_what_was_measured(two_fits, sto
 @pytest.mark.slow
 @pytest.mark.parametrize("fit", ["noise", "response", "brdf"])
 def test_the_knobs_of_a_fit_reach_their_references(lab, fit):
-    """The finest setting of each is within half a standard error of the reference, but for a third
-    of the pixels; what no seed turns is exact at the reference."""
+    """The finest setting of each knob is within half a standard error of the reference, except a
+    third of the pixels. A deterministic finest setting equals the reference."""
     problem, known = problems(load_rig(lab[0] / fit))[fit]
     assert len(known) >= 3
     for name in known:

@@ -1,4 +1,5 @@
-"""The digits that rounding leaves, against the errors of float32 in higher precision."""
+"""Tests `digits`, which estimates how many digits rounding leaves, against errors of float32 in
+higher precision."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from jaxvision.errors import InputError
 
 mp.dps = 40
 X = np.float32(0.0123)
-# name: a form in float32, the same in mpmath, and whether it loses more than one digit
+# name: a form in float32, the same in mpmath, and the operation that loses more than one digit
 FORMS = {
     "one less a cosine": (lambda x: 1 - jnp.cos(x), lambda x: 1 - mp.cos(x), "sub"),
     "by the half angle": (lambda x: 2 * jnp.sin(x / 2) ** 2, lambda x: 1 - mp.cos(x), ""),
@@ -47,7 +48,7 @@ FORMS = {
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", FORMS)
 def test_digits_are_those_of_float32_against_many(name):
-    """Within a digit of the error of float32 at 20 near numbers."""
+    """The digits agree within one with the float32 error at 20 nearby numbers."""
     form, exact, operation = FORMS[name]
     near = X * np.linspace(1, 1.01, 20, dtype=np.float32)
     true = np.array([float(exact(mp.mpf(float(x)))) for x in near])
@@ -58,8 +59,8 @@ def test_digits_are_those_of_float32_against_many(name):
     assert found.operation.partition(" ")[0] == operation
 
 
-def test_a_compensated_sum_keeps_its_digits():
-    """An exact operation is not rounded at random, so that Knuth's two-sum finds its rest."""
+def test_a_compensated_sum_loses_no_digits():
+    """Exact operations are not perturbed, so Knuth's two-sum still recovers its rounding error."""
 
     def total(a, b, c):
         s = a + b
@@ -90,7 +91,8 @@ def test_loops_branches_trees_and_refusals():
 
 @pytest.mark.slow
 def test_each_turn_of_a_loop_is_rounded():
-    """A running sum of 1000 numbers against float64, over 20 draws."""
+    """The digits of a running sum of 1000 numbers agree with its errors against float64 over 20
+    draws."""
     draws = np.random.default_rng(0).uniform(1, 2, (20, 1000)).astype(np.float32)
 
     def running(x):
@@ -111,7 +113,7 @@ def test_each_turn_of_a_loop_is_rounded():
 
 
 @pytest.mark.slow
-def test_an_operation_that_is_further_off_than_its_last_bit_loses_what_it_loses():
+def test_the_error_of_an_inaccurate_operation_counts_as_lost_digits():
     from scipy.special import digamma
 
     x = np.float32(1.4616)  # near its root
@@ -128,7 +130,7 @@ def test_an_operation_that_is_further_off_than_its_last_bit_loses_what_it_loses(
 
 
 @pytest.mark.slow
-def test_what_is_not_finite_or_zero_is_said_to_be():
+def test_results_that_are_not_finite_or_zero_are_named():
     x = np.float32([1.0, -1.0])
     assert str(digits(jnp.log, -x[:1])) == "No result is finite at these arguments."
     assert str(digits(jnp.log, x)).startswith("1 of 2 results are not finite; of the others 7.")
@@ -137,7 +139,8 @@ def test_what_is_not_finite_or_zero_is_said_to_be():
 
 
 def of_a_function(entry):
-    """The median digits of its results at 64 points, and those by |float32 - float64|."""
+    """Return the median digits of an entry's results at 64 points, and the digits from |float32 -
+    float64|."""
     narrow = drawn(entry, 64, np.dtype(np.float32))
     wide = tuple(column.astype(np.float64) for column in narrow)
     each = jax.vmap(entry.call)
@@ -146,7 +149,7 @@ def of_a_function(entry):
         errors = np.abs(np.stack(got) / np.stack(true) - 1).ravel()
     told = np.stack(parts_of(entry, digits(each, *narrow, runs=8).digits)).ravel()
     known = np.isfinite(errors) & np.isfinite(told)
-    usual = np.median(errors[known]) / 0.674  # of a Gaussian, the standard deviation
+    usual = np.median(errors[known]) / 0.674  # median to standard deviation
     return np.median(told[known]), min(-np.log10(max(usual, 1e-20)), 7.22)
 
 
@@ -161,14 +164,14 @@ def of_a_function(entry):
     ],
 )
 def test_what_underflows_has_no_digits(lossy, fine, at):
-    """float32 ends at 1e-38, float64 at 1e-308: what is 0 in one and not in the other has lost all
-    of its digits; beside a number of ordinary size the loss is nothing."""
+    """A result that underflows to 0 in float32 (at 1e-38) but not in float64 (at 1e-308) has lost
+    all digits. Added to a number of ordinary size, it loses nothing."""
     x = np.float32(at)
     with jax.enable_x64(True):  # each operation by itself: XLA would simplify log(exp(x))
         assert float(lossy(jnp.asarray(x))) in (0, -np.inf)
         assert float(lossy(jnp.asarray(at))) not in (0, -np.inf)
     lost = digits(lossy, x)
-    assert not lost.fewest >= 1  # NaN where it is not finite
+    assert not lost.fewest >= 1  # NaN if the result is not finite
     assert digits(fine, x).fewest > 5.5
     assert lost.operation.split()[:1] != []
 
@@ -176,7 +179,7 @@ def test_what_underflows_has_no_digits(lossy, fine, at):
 @pytest.mark.sweep
 @pytest.mark.parametrize("x", [1e-3, 1e-5])
 def test_a_small_number_that_is_absorbed_is_lost(x):
-    """1e8 + x is 1e8 in float32, and 1 - cos(x) from 1e-4 down is 0: no digit of x is left."""
+    """1e8 + x is 1e8 in float32, and 1 - cos(x) is 0 for x up to 1e-4, so no digit of x remains."""
     assert digits(lambda x: (x + 1e8) - 1e8, np.float32(x)).fewest < 0.5
     assert digits(lambda x: 1 - jnp.cos(x), np.float32(x)).fewest < 2
     kept = digits(lambda x: x + 1e8, np.float32(x))
@@ -186,7 +189,8 @@ def test_a_small_number_that_is_absorbed_is_lost(x):
 
 @pytest.mark.slow
 def test_digits_of_many_functions_are_those_of_float32_against_float64():
-    """Within half a digit for 43 functions of the table of errors, every third of it."""
+    """The digits agree within half a digit for every third function of the table of errors (at
+    least 40)."""
     quick = [e for e in every_entry() if "float32" in e.precisions and not e.of_digits]
     found = {entry.title: of_a_function(entry) for entry in quick[::3]}
     assert len(found) >= 40

@@ -1,14 +1,14 @@
-"""The atlas of accuracy against time: every knob's curve on shipped scenes, on the examples of
-`jaxvision.accuracy` and `fitting.accuracy` and on the rigs of a simulated afternoon, with the
-points of peers that do the same job, as pages for `docs/`.
+"""Measure the error against the time of every knob, and write the pages of the atlas for `docs/`.
 
     python tests/benchmarks/atlas.py [--minutes 60] [--kept DIR] [--out docs/atlas] [--only WORD]
 
-All knobs share the time, compilation included, those of scenes and fits with more of it; what one
-leaves is not used, so that the whole takes less. Killed, it goes on where it was: curves and
-compiled programs are kept in `--kept`.
-Peers that are not installed (OpenCV, Mitsuba; Mitsuba needs `DRJIT_LIBLLVM_PATH`) are left out.
-"""
+The problems are shipped scenes, the examples of `jaxvision.accuracy` and `fitting.accuracy`, and
+the rigs of a simulated afternoon. Points of other programs that do the same job are added. Programs
+that are not installed (OpenCV, Mitsuba) are left out; Mitsuba needs `DRJIT_LIBLLVM_PATH`.
+
+All knobs share the time, compilation included; scenes and fits have larger shares. Time that a knob
+does not use is not given to others, so the run takes less than `--minutes`. Curves and compiled
+programs are stored in `--kept`, so a run that was killed continues there."""
 
 import argparse
 import io
@@ -62,16 +62,15 @@ SHARES = {"Pictures": 1, "Cameras": 1, "Light": 1, "Fits": 1.5, "Scenes": 6}  # 
 
 @dataclass(frozen=True)
 class Sheet:
-    """One knob measured.
+    """One measured knob.
 
     Attributes:
         page: title of the page.
         problem: its name.
         curve: error against time.
-        peers: points of others.
-        seconds: s, that it was given.
-        load: processes that ran or waited, this one among them, while it was measured.
-    """
+        peers: points of other programs.
+        seconds: s, the time that the knob was given.
+        load: the machine's load average, including this process."""
 
     page: str
     problem: str
@@ -82,7 +81,7 @@ class Sheet:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Of the table."""
+        """Return the cells of the knob's row in the table."""
         return rows(Problem(self.problem, lambda settings: lambda seed: None), [self.curve])[1]
 
 
@@ -90,7 +89,7 @@ Job = Callable[[float], tuple[Problem, Curve]]
 
 
 def jobs(kept: Path) -> dict[str, tuple[str, Job]]:
-    """Page and measurement of every knob, by a name that files can have."""
+    """Return the page and the measurement of every knob, by a name that is valid for files."""
     found: dict[str, tuple[str, Job]] = {}
     for page, room in (("Pictures", pictures), ("Cameras", cameras), ("Light", light)):
         for knob in room.EXAMPLES:
@@ -164,13 +163,13 @@ def _of_peers(made) -> Job:
 
 
 def measure(name: str, page: str, job: Job, kept: Path, seconds: float) -> Sheet:
-    """A knob's sheet, from the folder where it was kept."""
+    """Return the sheet of a knob, from its stored file if there is one."""
     file = kept / f"{slug(name)}.pickle"
     if file.exists():
         return pickle.loads(file.read_bytes())
     problem, found = job(seconds)
     sheet = Sheet(page, problem.name, found, (), seconds, os.getloadavg()[0])
-    _keep(file, sheet)  # before its peers, of which one that ends the process costs its points only
+    _keep(file, sheet)  # stored before other programs run, because one of them may end the process
     if name in PEERS:
         sheet = replace(sheet, peers=tuple(PEERS[name](problem, found)))
         _keep(file, sheet)
@@ -189,7 +188,7 @@ def slug(name: str) -> str:
 
 
 def drawn(sheet: Sheet) -> str:
-    """The curve with its peers as SVG that is dark where its reader is."""
+    """Return the curve and the points of other programs as SVG that follows the page's theme."""
     inked = "text.color axes.edgecolor axes.labelcolor axes.titlecolor xtick.color ytick.color"
     style = dict.fromkeys(inked.split(), INK)
     with matplotlib.rc_context(
@@ -212,7 +211,7 @@ def drawn(sheet: Sheet) -> str:
 
 
 def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None:
-    """Pages and plots; what is not measured yet is named."""
+    """Write pages and plots, and name the knobs that are not measured yet."""
     out.mkdir(parents=True, exist_ok=True)
     given, load = (_range(getattr(s, n) for s in sheets.values()) for n in ("seconds", "load"))
     pages: dict[str, list[str]] = {}
@@ -275,7 +274,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
 
 
 def _range(numbers: Iterable[float]) -> str:
-    """The least and the largest of those that are known."""
+    """Return the smallest and the largest finite number as text."""
     known = sorted(one for one in numbers if np.isfinite(one))
     ends = [f"{known[0]:.0f}", f"{known[-1]:.0f}"] if known else ["?"]
     return " to ".join(dict.fromkeys(ends))

@@ -1,4 +1,4 @@
-"""Whether a default lies on the Pareto front of its knob, by the curves of the atlas."""
+"""Check whether each default lies on the Pareto front of its knob, by the curves of the atlas."""
 
 import dataclasses
 import inspect
@@ -50,12 +50,13 @@ OF_CALLS = {
     "code bins": (fit_response_curve, "most_bins"),
     "curve rounds": (fit_response_curve, "rounds"),
 }
-FASTER = 0.9  # of the time of a default, to beat it
+FASTER = 0.9  # a setting beats a default if it takes at most this share of its time
 OF_SCENES = ("samples", "depth", "order", "rule", "patches", "dtype")
 
 
 def default_of(curve: Curve) -> Any:
-    """Of the function or of `[render]`; None where a knob has none."""
+    """Return the default of a function's argument or of a key of `[render]`, or None if there is
+    none."""
     name = curve.knob.name
     if name in OF_CALLS:
         of, argument = OF_CALLS[name]
@@ -69,7 +70,7 @@ def default_of(curve: Curve) -> Any:
 
 
 def verdict(curve: Curve, default: Any) -> str:
-    """What the curve says of a default, in a few words."""
+    """Return in a few words how a default compares with its curve."""
     run = {trial.setting: trial for trial in curve.trials}
     if default in run:
         return judged(curve, run[default])
@@ -86,7 +87,8 @@ def verdict(curve: Curve, default: Any) -> str:
 
 
 def judged(curve: Curve, trial: Trial) -> str:
-    """On the front, as good as it within the spread, or beaten, and by what."""
+    """Return whether a trial is on the Pareto front, equal to it within the spread, or beaten, and
+    by which setting."""
     taken = f"in {1e3 * trial.seconds:.3g} ms"
     own = curve.reference.error
     if trial.setting == curve.reference.setting and curve.reference.how != "exact setting":
@@ -106,14 +108,13 @@ def judged(curve: Curve, trial: Trial) -> str:
 
 
 def defaults(curves: Iterable[Curve]) -> list[str]:
-    """A table of the defaults of all knobs that have one.
+    """Return a table of the defaults of all knobs that have one.
 
     Args:
-        curves: of the atlas, times in s.
+        curves: the curves of the atlas, times in s.
 
     Returns:
-        Lines of Markdown.
-    """
+        Lines of Markdown."""
     known = [(one, default_of(one)) for one in curves]
     places = [(one, at, verdict(one, at)) for one, at in known if at is not None]
     beaten = sum(place.startswith("**beaten**") for *_, place in places)

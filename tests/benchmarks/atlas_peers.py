@@ -1,5 +1,4 @@
-"""The points of peers in the atlas: others that do the same job, by their error and time on the
-problem of ours."""
+"""Points of other programs in the atlas: their error and time on the same problem."""
 
 import os
 import sys
@@ -36,10 +35,9 @@ class Peer:
     """One setting of another program.
 
     Attributes:
-        name: with the setting.
-        error: relative, as that of ours.
-        seconds: s, warm.
-    """
+        name: name of the program and its setting.
+        error: relative error, as for jaxvision.
+        seconds: s, without compilation."""
 
     name: str
     error: float
@@ -49,8 +47,8 @@ class Peer:
 def _points(
     rivals: dict[str, Callable[[], np.ndarray]], exact: np.ndarray, level: float, cut: int = 0
 ) -> Iterator[Peer]:
-    """Their results in turns. `cut`: pixels along the edge that are not compared, where each
-    program has its own continuation."""
+    """Yield the points of programs that run in alternation. `cut` is the width in pixels of the
+    edge that is not compared, because programs continue pictures differently."""
     results = {name: run() for name, run in rivals.items()}
     _, seconds = in_turns(rivals, rounds=ROUNDS)
     inside = (slice(cut, -cut or None),) * 2 if cut else ...
@@ -113,7 +111,8 @@ def _levelled(g: np.ndarray) -> np.ndarray:
 
 
 def stack_problem() -> tuple[Problem, Knob]:
-    """Three response curves of a stack whose truth is known: log exposures of codes 20 to 235."""
+    """Return the problem of three response curves of a stack with known true curves: log exposures
+    of codes 20 to 235."""
     channels, _ = _stack()
 
     def prepare(settings):
@@ -154,15 +153,16 @@ def of_stack(problem: Problem, found: Curve) -> Iterator[Peer]:
 
 
 def of_samples(problem: Problem, found: Curve) -> Iterator[Peer]:
-    """Mitsuba's Cornell box with the same depth and pixels, each by the scatter of its seeds about
-    a reference of its own; radiance above twice the 95 % quantile counts as that, as in ours."""
+    """Yield the points of Mitsuba's Cornell box with equal depth and pixels, each from the scatter
+    of its seeds about a reference of its own. Radiance is clipped at twice its 95 % quantile, as
+    for jaxvision."""
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
         return
     try:
         from mitsuba_scenes import mitsuba, mitsuba_cornell_box
 
         mi = mitsuba()
-    except ImportError:  # or LLVM is not where it is said to be
+    except ImportError:  # or DRJIT_LIBLLVM_PATH names no library
         return
     path = {"type": "path", "max_depth": problem.settings["depth"], "rr_depth": 1000}
     scene = mitsuba_cornell_box(mi, side=128, integrator=path)
@@ -179,7 +179,8 @@ def of_samples(problem: Problem, found: Curve) -> Iterator[Peer]:
 
 
 def sine_problem() -> tuple[Problem, Knob]:
-    """Ends of the intervals of a sine of unknown frequency by emcee on our density."""
+    """Return the problem of the interval ends of a sine of unknown frequency, by `emcee` on
+    jaxvision's density."""
     density = _sine()
     turned = chain_knobs(density)["chain length"]
     knob = FIT_KNOBS["chain length"]
@@ -194,7 +195,8 @@ def _sine() -> Density:
 
 
 def of_sine(problem: Problem, found: Curve) -> Iterator[Peer]:
-    """emcee with its default move on a NumPy density of the same posterior, its second half."""
+    """Yield the points of `emcee` with its default move on a NumPy density of the same posterior,
+    from the second half of the chain."""
     import emcee
 
     density = _sine()

@@ -30,7 +30,7 @@ SIZES = ((512, 512), (2048, 2048), (3000, 4000))
 
 
 def compiled(name: str, function: Callable, *arrays: jax.Array) -> Callable[[], jax.Array]:
-    """The call, compiled ahead; the time of that is printed apart."""
+    """Return the call compiled ahead, and print the time that compiling took."""
     start = time.perf_counter()
     call = jax.jit(function).lower(*arrays).compile()
     print(f"    {name}: traced and compiled in {time.perf_counter() - start:.2f} s")
@@ -38,7 +38,7 @@ def compiled(name: str, function: Callable, *arrays: jax.Array) -> Callable[[], 
 
 
 def picture_of(size: tuple[int, int]) -> np.ndarray:
-    """Smooth colours with edges and some noise, codes of 8 bits."""
+    """Return smooth colours with edges and some noise, as 8-bit codes."""
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float32)
     waves = np.stack([np.sin(x / 31), np.cos(y / 23), np.sin((x + y) / 47)], -1)
     edges = ((x // 64 + y // 64) % 2)[..., None]
@@ -75,7 +75,7 @@ def test_demosaicing(size):
     if size[0] <= 2048:
         rivals["colour-demosaicing, menon"] = lambda: peers.demosaicing_CFA_Bayer_Menon2007(floats)
     inside = np.s_[8:-8, 8:-8]
-    np.testing.assert_allclose(  # OpenCV rounds to whole codes
+    np.testing.assert_allclose(  # OpenCV rounds to integers
         np.asarray(rivals["ours, bilinear"]())[inside],
         rivals["opencv, bilinear, 16 bit"]()[inside],
         atol=0.5 + 1e-3,
@@ -100,7 +100,7 @@ def test_demosaicing_beside_kornia():
     tensor, raw = torch.from_numpy(codes[None, None]), jnp.asarray(codes)
     ours = compiled("bilinear", lambda r: demosaic(r, PATTERN, method="bilinear"), raw)
 
-    def peer() -> np.ndarray:  # its BG names the pixel at (1, 1), as OpenCV did
+    def peer() -> np.ndarray:  # OpenCV's BG names the pixel at (1, 1)
         return kornia.color.raw_to_rgb(tensor, kornia.color.CFA.BG).numpy()[0].transpose(1, 2, 0)
 
     inside = np.s_[2:-2, 2:-2]

@@ -29,7 +29,7 @@ CENTRES = np.stack(
     [np.tile([-1.4, 0, 1.4], 3)[:8], 1.1 * RADII, np.repeat([-1.4, 0, 1.4], 3)[:8]], axis=-1
 )
 TARGET_RADIANCE = 0.5
-WIDE = {"xla_cpu_prefer_vector_width": "512"}  # as `render` tells its users
+WIDE = {"xla_cpu_prefer_vector_width": "512"}  # the option that `render` recommends to users
 KD, KS = RNG.uniform(0.03, 0.2, (9, 3)), RNG.uniform(0.05, 0.6, (9, 1)) * np.ones((1, 3))
 EXPONENTS = RNG.uniform(5, 60, 9)
 LAMPS = [([3, 5, 3], [30, 28, 25]), ([-3, 4, 2], [15, 18, 25]), ([0.5, 6, -3], [20, 20, 20])]
@@ -50,7 +50,7 @@ def ours():
 
 
 def mitsuba_rival(shadows=True):
-    """(render() -> image, slope() -> gradients) of the same scene."""
+    """Return (render() -> image, slope() -> gradients) of the same scene in Mitsuba."""
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
         pytest.skip("name Mitsuba's LLVM library in DRJIT_LIBLLVM_PATH")
     mi = pytest.importorskip("mitsuba")
@@ -58,7 +58,7 @@ def mitsuba_rival(shadows=True):
     import drjit as dr
 
     class MirrorLobe(mi.BSDF):
-        """k_d + k_s [s.v]+ ** n, times the cosine of incidence."""
+        """k_d + k_s [s·v]+ ** n, times the cosine of incidence."""
 
         def __init__(self, props):
             mi.BSDF.__init__(self, props)
@@ -91,7 +91,7 @@ def mitsuba_rival(shadows=True):
             return self.eval(ctx, si, wo, active), mi.Float(0)
 
     class SumOfEmitters(mi.SamplingIntegrator):
-        """Every emitter once, by one shadow ray if there are shadows."""
+        """Sum over all emitters, by one shadow ray each if there are shadows."""
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
             si = scene.ray_intersect(ray, active)
@@ -185,9 +185,9 @@ def print_beside(seconds):
 
 @pytest.mark.parametrize("shadows", [True, False])
 def test_the_sum_over_three_points_beside_mitsuba(shadows):
-    """The aim is twice as fast. With shadows it is missed by a tenth: a shadow ray is moved off
-    its surface by the rounding of that surface's own size and made a unit vector again, which
-    scenes of all sizes need, and tested against all shapes, its own among them."""
+    """The aim is half of Mitsuba's time. With shadows it is missed by a tenth, because each shadow
+    ray is offset by the rounding of its own surface, renormalised, and tested against all shapes,
+    which scenes of all sizes need."""
     draw, _ = mitsuba_rival(shadows)
     scene, view = ours()
     arguments = jv.Scene(scene.surfaces, scene.lights, occluders=None if shadows else ()), view
@@ -209,8 +209,8 @@ def test_the_sum_over_three_points_beside_mitsuba(shadows):
 
 
 def test_the_gradient_in_the_reflectance_beside_mitsuba():
-    """Of the mean square difference to a grey picture, in k_d, k_s and the exponent of each
-    surface."""
+    """The loss is the mean squared difference from a grey picture. The gradient is with respect to
+    k_d, k_s and the exponent of each surface."""
     _, slope = mitsuba_rival()
     scene, view = ours()
     materials = [surface.material for surface in scene.surfaces]

@@ -45,7 +45,7 @@ def room(lights, material=GREY):
 
 
 def smooth(bands):
-    """Three lamps and glossy walls whose spectra are straight lines."""
+    """Return a scene of three lamps and glossy walls whose spectra are straight lines."""
     w = np.linspace(0, 1, bands)
     walls = [
         jv.Surface(q, jv.Phong(0.1 + 0.1 * k * w, 0.05 + 0 * w, 20.0))
@@ -57,9 +57,9 @@ def smooth(bands):
 
 FAR = jv.RectangleLight([-0.5, -0.5, 90], [0, 1, 0], [1, 0, 0], [8000.0] * 3)
 DARK = jv.PointLight([0.5, 0, 2], [0.0] * 3)
-FINE = 1024  # a small picture of a few shapes spends a third of its time before the first pixel
-# name: (the scene, the same where the effect was never there, least share of time that is saved,
-# pixels along each side)
+FINE = 1024  # a third of a small picture's time passes before its first pixel
+# name: (the scene, the same scene without the effect, least share of time that is saved, pixels
+# along each side)
 CASES = {
     "31 smooth bands": (smooth(31), smooth(3), 8.0, FINE),
     "far lamp, order 8": (
@@ -98,7 +98,7 @@ CASES = {
 
 
 def of_side(view, side):
-    """The same picture of so many pixels along its longer side, and square."""
+    """Return a square view of the same scene with `side` pixels along each side."""
     scale = max(view.resolution) / side
     return replace(view, resolution=(side, side), pixel_pitch=view.pixel_pitch * scale)
 
@@ -114,7 +114,7 @@ def drawn(scene, view, expand=None):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_left_out_is_not_paid_for(name):
+def test_pruned_effects_cost_no_time(name):
     scene, never, least, side = CASES[name]
     pruned = effects.prune(scene, VIEW, "0.1%", level=float(jv.render(scene, VIEW).max()))
     view = of_side(VIEW, side)
@@ -135,7 +135,8 @@ def test_what_is_left_out_is_not_paid_for(name):
 
 
 def of_processor(call):
-    """s, which the load of a machine lengthens, but never shortens."""
+    """Return the processor time of a call in s. The load of a machine can lengthen it, but never
+    shortens it."""
     start = time.process_time()
     call()
     return time.process_time() - start
@@ -185,12 +186,12 @@ SCENES = {
 
 
 def program_of(scene, view):
-    """What tells one program from another: its text before XLA compiles it."""
+    """Return the program's text before XLA compiles it, which identifies it."""
     return jax.jit(jv.render).lower(scene, view).as_text()
 
 
 def all_bands(compiled, pruned, view):
-    """The picture of what is left, in the bands of the whole scene."""
+    """Return a call that renders the pruned scene in the bands of the whole scene."""
     if pruned.expand is None:
         return partial(compiled, pruned.scene, view)
     dtype = jax.eval_shape(compiled, pruned.scene, view).dtype
@@ -200,7 +201,8 @@ def all_bands(compiled, pruned, view):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_pruned_is_never_slower(name):
-    """By at most 3 %; where nothing that is traced may go it is the same program."""
+    """Pruning makes a picture at most 3 % slower. Where nothing traced can be pruned, the program
+    is the same."""
     scene, view = SCENES[name]()
     view, compiled = of_side(view, SIDE), jax.jit(jv.render)
     known, rivals = {program_of(scene, view)}, {"with": partial(compiled, scene, view)}
@@ -216,7 +218,7 @@ def test_what_is_pruned_is_never_slower(name):
             rivals[tolerance] = all_bands(compiled, pruned, view)
     if len(rivals) == 1:
         return
-    _, seconds = in_turns(rivals, rounds=3 * ROUNDS)  # 3 % is less than 11 rounds tell
+    _, seconds = in_turns(rivals, rounds=3 * ROUNDS)  # 11 rounds cannot resolve 3 %
     for tolerance in (rival for rival in rivals if rival != "with"):
         print(f"{name}, {tolerance}: x{seconds['with'] / seconds[tolerance]:.3f}")
         assert seconds[tolerance] <= 1.03 * seconds["with"]
@@ -224,7 +226,8 @@ def test_what_is_pruned_is_never_slower(name):
 
 @pytest.mark.parametrize("name", jv.files.scenes.shipped_scenes())
 def test_paths_of_a_shipped_scene_are_followed_by_the_same_program(name):
-    """As its file asks for them: nothing of it can go at 1 %, so that nothing is slower."""
+    """The shipped scene's own settings allow nothing to be pruned at 1 %, so the program must be
+    the same."""
     source = jv.files.scenes.read_scene(name)
     depth = source.render.depth
     pruned = effects.prune(source.scene, source.view, "1%", level=1.0, depth=depth)

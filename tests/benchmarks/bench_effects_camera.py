@@ -28,7 +28,7 @@ DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
 FLOOR = s.Surface(s.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
 SCENE = s.Scene([FLOOR], [jv.PointLight([1.0, 0.5, 4.0], [8.0])])
 FINE = (1024, 1024)
-IDLE_LENS = {  # what is proved not to matter, and what stays within the tolerance
+IDLE_LENS = {  # effects that are proved negligible, and effects that stay within the tolerance
     "rim": (s.Rim(0.001, 0.2), "0DN"),
     "distortion": (s.Distortion([0.0]), "0DN"),
     "diffraction": (s.Diffraction(5.5e-7), "0.01DN"),

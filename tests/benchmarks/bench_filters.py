@@ -1,10 +1,9 @@
-"""Linear filters of float32 RGB against OpenCV 5, scipy.ndimage and kornia: time and ratio.
+"""Compare linear filters of float32 RGB with OpenCV 5, `scipy.ndimage` and kornia: time and ratio.
 
     pytest tests/benchmarks/bench_filters.py -m benchmark -s
 
-All in one process, taking turns, warmed up, compile time apart, results shown equal. OpenCV and
-XLA share the same cores.
-"""
+All programs run in alternation in one process, after a first call. Compilation is timed separately
+and results are compared. OpenCV and XLA share the same cores."""
 
 import os
 import warnings
@@ -80,7 +79,8 @@ def test_separable(shape, size):
 
 
 def _kornia(f):
-    """The library and the picture as its tensor; timed apart, since its threads disturb others."""
+    """Return kornia and the picture as a tensor. It is timed separately, because its threads
+    disturb the others."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         kornia, torch = pytest.importorskip("kornia"), pytest.importorskip("torch")
@@ -107,7 +107,7 @@ def test_non_separable(size):
 
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 11, 13, 15, 17, 21, 31])
 def test_methods(size):
-    """What `auto` chooses from: where each method begins to win."""
+    """Time the methods among which `auto` chooses, to find the sizes where each is the fastest."""
     x = jnp.asarray(picture(512, 512))
     k = np.random.default_rng(1).uniform(size=(size, size)).astype(np.float32) / size**2
     column = k[0]

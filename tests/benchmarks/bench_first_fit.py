@@ -1,9 +1,9 @@
-"""What a user waits for who fits a model of their own, in whole processes with nothing kept: seven
-bounded parameters of a Phong lobe, an offset and a gamma, on 4,800 numbers, from 16 starts; beside
-SciPy's `least_squares` from one.
+"""Time a user's first fit of their own model, in a new process with empty caches.
 
     pytest tests/benchmarks/bench_first_fit.py -m benchmark -s
-"""
+
+The model has seven bounded parameters (a Phong lobe, an offset and a gamma), 4,800 data and 16
+starts. SciPy's `least_squares` from one start is timed for comparison."""
 
 from functools import partial
 

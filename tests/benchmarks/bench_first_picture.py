@@ -1,10 +1,11 @@
-"""What a user of the command waits for, in whole processes: the first picture of the Cornell box,
-256 x 256 pixels, 64 samples, up to 6 pieces, as EXR and PNG, beside Mitsuba 3 (`llvm_ad_rgb`), each
-with nothing kept and with the programs of an earlier run; the import with a first small call; help,
-and the answer to a wrong path.
+"""Time whole processes that a user of the command waits for.
 
     pytest tests/benchmarks/bench_first_picture.py -m benchmark -s
-"""
+
+The processes are the first picture of the Cornell box (256 x 256 pixels, 64 samples, paths of up to
+6 segments, as EXR and PNG), the import with a first small call, help, and the answer to a wrong
+path. The picture is timed with empty caches and with the compiled programs of an earlier run, and
+Mitsuba 3 (`llvm_ad_rgb`) for comparison."""
 
 import atexit
 import os
@@ -36,14 +37,14 @@ import jaxvision as jv
 up, wi = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8])
 print(jv.lambert_shading(up, wi, np.array([0.1])))
 """
-OURS = ("JAX", "XLA", "XDG")  # what says how to compile, and where programs are kept
-# pip compiles what it installs to bytecode; sources in a working folder are compiled here instead
+OURS = ("JAX", "XLA", "XDG")  # variables that set how to compile and where programs are stored
+# pip compiles installed sources to bytecode; sources in a working folder are compiled here instead
 BYTECODE = mkdtemp()
 atexit.register(partial(rmtree, BYTECODE, ignore_errors=True))
 
 
 def process(program, *arguments, home, status=0):
-    """Run to its end by a user of that home folder."""
+    """Run a process to its end as a user with this home folder."""
     environment = {name: x for name, x in os.environ.items() if not name.startswith(OURS)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment |= {"HOME": str(home), "PYTHONPATH": os.pathsep.join(sys.path)}

@@ -1,5 +1,5 @@
-"""Histogram, equalisation and CLAHE of an 8-bit image against OpenCV, matching against
-scikit-image: time, and how many levels apart the results are.
+"""Compare histogram, equalisation and CLAHE of an 8-bit image with OpenCV, and matching with
+scikit-image: time, and the difference of the results in levels.
 
     pytest tests/benchmarks/bench_histogram.py -m benchmark -s
 """

@@ -1,5 +1,5 @@
-"""Closed-form matting and foreground estimation against pymatting (Numba), on one picture, trimap,
-epsilon and confidence: time, and error against the true matte.
+"""Compare closed-form matting and foreground estimation with pymatting (Numba) on one picture,
+trimap, epsilon and confidence: time, and error against the true matte.
 
     pytest tests/benchmarks/bench_matting.py -m benchmark -s
 """
@@ -19,7 +19,8 @@ RNG = np.random.default_rng(0)
 
 
 def scene(side: int) -> tuple[np.ndarray, ...]:
-    """(picture, trimap, alpha): a wavy, soft-edged disc over another smooth texture."""
+    """Return (picture, trimap, alpha) of a wavy disc with a soft edge over another smooth
+    texture."""
     y, x = np.mgrid[:side, :side] / side
     edge = 0.3 + 0.04 * np.sin(9 * np.arctan2(y - 0.5, x - 0.5))
     outside = np.hypot(y - 0.5, x - 0.5) - edge
@@ -34,7 +35,7 @@ def scene(side: int) -> tuple[np.ndarray, ...]:
 
 
 def table(rivals: dict[str, Callable[[], object]], note: Callable[[str], str]) -> dict[str, float]:
-    """Median seconds of each; the first call is printed apart."""
+    """Return the median seconds of each program, and print the first call separately."""
     first, seconds = in_turns(rivals, rounds=ROUNDS)
     for name, s in seconds.items():
         print(

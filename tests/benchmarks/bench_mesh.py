@@ -1,12 +1,11 @@
-r"""Rays against triangle meshes: Embree through a callback with the hit recomputed here, beside
-Mitsuba 3 (llvm_ad_rgb), whose `ray_intersect_preliminary` gives distance and triangle alike.
-
-embreex asks Embree for one ray after another, a part of them on each core, and what it found is
-copied back and forth and computed again here, so that gradients reach it: on two cores a tenth of
-the speed for a thousand triangles, a fifth for ten thousand and more.
+r"""Time rays against triangle meshes by Embree, beside Mitsuba 3 (`llvm_ad_rgb`), whose
+`ray_intersect_preliminary` also gives distance and triangle.
 
     DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s tests/benchmarks/bench_mesh.py
-"""
+
+embreex passes rays to Embree one by one, divided among the cores. The hits are copied twice and
+computed again in JAX, so that gradients reach them. On two cores this has a tenth of Mitsuba's
+speed for a thousand triangles, and a fifth for ten thousand and more."""
 
 import time
 

@@ -1,12 +1,13 @@
-"""Photon transfer of frames in memory against the EMVA 1288 reference code, by the authors of the
-standard: seconds, and how far the figures lie from each other and from the simulated camera.
+"""Compare photon transfer of frames in memory with the EMVA 1288 reference code by the authors of
+the standard: time, and the differences of the results from each other and from the simulated
+camera.
 
     pip install emva1288 lxml
     pytest tests/benchmarks/bench_noise.py -m benchmark -s
 
-Both reduce the same frames to moments and evaluate the same sheet. Ours adds the likelihood fit,
-a standard error of each figure, and looks for row noise, drift and neighbours that are correlated.
-"""
+Both reduce the same frames to moments and evaluate the same data sheet. jaxvision also makes the
+likelihood fit, a standard error of each result, and tests for row noise, drift and correlated
+neighbours."""
 
 import logging
 
@@ -19,7 +20,7 @@ from fitting import noise
 
 SHAPE = (240, 320)
 LEVELS = 24
-FRAMES = 16  # of the levels that measure the fixed pattern, the middle one and its dark
+FRAMES = 16  # at the levels that measure the fixed pattern: the middle one and its dark
 PHOTONS = np.linspace(600, 28_000, LEVELS)
 EXPOSURES = np.full(LEVELS, 0.01)
 CAMERA = CameraTruth(dsnu=6.0, prnu=0.01)
@@ -47,7 +48,7 @@ TRUTH = {
 
 
 def frames():
-    """(flats, darks): of each level (frames, h, w) codes; the darks are one set."""
+    """Return (flats, darks): codes (frames, h, w) of each level, and one set of darks."""
     rng = np.random.default_rng(0)
     die = make_die(rng, CAMERA, SHAPE)
 
@@ -60,13 +61,13 @@ def frames():
 
 
 def theirs(flats, darks):
-    """The figures of the reference code, from what its own loader makes of images."""
+    """Return the results of the reference code, from images prepared as by its own loader."""
     from emva1288.process import data, results, routines
 
     t = EXPOSURES[0]
     pairs = {0.0: darks[:2]} | {p: f[:2] for p, f in zip(PHOTONS, flats, strict=True)}
     temporal = {p: routines.get_int_imgs(images) for p, images in pairs.items()}
-    for sums in temporal.values():  # as its loader keeps them
+    for sums in temporal.values():  # in the form of its loader
         sums["sum"], sums["pvar"] = np.sum(sums["sum"]), np.sum(sums["pvar"])
     spatial = {
         0.0: routines.get_int_imgs(darks),
@@ -94,7 +95,8 @@ def ours(flats, darks):
 
 
 def figures(calibration):
-    """Of our standard sheet, with the fixed pattern by the standard's two levels."""
+    """Return the values of our standard sheet, with the fixed pattern from the standard's two
+    levels."""
     values = {name: float(x) for name, x in calibration.standard.values.items()}
     pattern, _ = calibration.patterns
     fixed = {
@@ -107,7 +109,7 @@ def figures(calibration):
 @pytest.mark.benchmark
 def test_against_the_reference_code(monkeypatch):
     pytest.importorskip("emva1288")
-    # NumPy 2 has dropped the name; the reference code still calls it.
+    # NumPy 2 has removed the name, which the reference code still calls.
     monkeypatch.setattr(np, "asfarray", lambda x: np.asarray(x, float), raising=False)
     flats, darks = frames()
     rivals = {"ours": lambda: ours(flats, darks), "reference": lambda: theirs(flats, darks)}
@@ -120,5 +122,5 @@ def test_against_the_reference_code(monkeypatch):
         error = float(calibration.standard.errors.get(name, np.nan))
         truth = f"   truth {TRUTH[name]:.5g}" if name in TRUTH else ""
         print(f"{name:22s} {found[name]:10.6g} +- {error:<8.2g} {value:10.6g}{truth}")
-        # The reference code takes two frames of each level, ours all.
+        # The reference code uses two frames of each level, jaxvision uses all.
         assert found[name] == pytest.approx(value, rel=0.01)

@@ -1,11 +1,10 @@
-"""The Cornell box by path tracing against Mitsuba 3 (`llvm_ad_rgb`, `path`): 256 x 256 pixels, 64
-samples, up to 6 pieces, no roulette, float32. Both against a reference of 2048 samples by Mitsuba,
-so that speed is compared at the error that each has.
+"""Compare path tracing of the Cornell box with Mitsuba 3 (`llvm_ad_rgb`, `path`).
 
     pytest tests/benchmarks/bench_path_tracing.py -m benchmark -s
 
-Mitsuba needs `DRJIT_LIBLLVM_PATH`, see its documentation.
-"""
+Both render 256 x 256 pixels with 64 samples of up to 6 segments, without roulette, in float32.
+Times are compared at equal error, measured against a reference of 2048 samples by Mitsuba. Mitsuba
+needs `DRJIT_LIBLLVM_PATH`, see its documentation."""
 
 import time
 from collections.abc import Callable
@@ -27,7 +26,7 @@ SIDE, SAMPLES, DEPTH, ROUNDS = 256, 64, 6, 7
 
 
 def compiled(strategy, scene, view):
-    """The picture as a function of a key, and the seconds of tracing and compiling."""
+    """Return the picture as a function of a key, and the seconds of tracing and compiling."""
     method = Paths(SAMPLES, DEPTH, strategy=strategy)
     start = time.perf_counter()
     call = (
@@ -49,7 +48,7 @@ def test_cornell_box():
         return np.asarray(mi.render(peer, spp=samples, seed=next(seeds)))
 
     reference = np.mean([theirs(512) for _ in range(4)], axis=0)
-    # all but the lamp and its edge, whose pixels differ by where a sample falls, hundredfold
+    # all but the lamp and its edge, whose pixels vary a hundredfold with the positions of samples
     unlit = np.logical_not(binary_dilation(reference.max(axis=-1) > 2, iterations=2))
 
     def with_next_key(picture):

@@ -1,5 +1,5 @@
-"""A chain of point operators in one pass, against the same chain in OpenCV, NumPy and kornia
-(PyTorch), all float32 RGB; and ours in both forms of the power.
+"""Compare a chain of point operators in one pass with the same chain in OpenCV, NumPy and kornia
+(PyTorch), all in float32 RGB, with both methods of the power function.
 
     pytest tests/benchmarks/bench_point_ops.py -m benchmark -s
 """
@@ -31,7 +31,7 @@ def f32(x: float) -> jax.Array:
 
 
 def compiled(name: str, function: Callable, *arrays: np.ndarray) -> Callable[[], jax.Array]:
-    """The call, compiled ahead; the time of that is printed apart."""
+    """Return the call compiled ahead, and print the time that compiling took."""
     inputs = [jnp.asarray(a) for a in arrays]
     start = time.perf_counter()
     call = jax.jit(function).lower(*inputs).compile()
@@ -42,7 +42,7 @@ def compiled(name: str, function: Callable, *arrays: np.ndarray) -> Callable[[],
 def report(
     title: str, rivals: dict[str, Callable[[], object]], tolerance: float
 ) -> dict[str, float]:
-    """Prints and returns the seconds, having shown that all results are equal."""
+    """Check that all results are equal, then print and return the seconds."""
     first = np.asarray(next(iter(rivals.values()))())
     for name, run in rivals.items():
         np.testing.assert_allclose(np.asarray(run()), first, atol=tolerance, err_msg=name)
@@ -56,7 +56,8 @@ def report(
 @pytest.mark.benchmark
 @pytest.mark.parametrize("size", SIZES)
 def test_chain_of_exposure_matrix_gain_gamma(size):
-    """exposure, colour matrix, gain and bias, clip, gamma: five calls, one pass."""
+    """The chain is exposure, colour matrix, gain and bias, clip and gamma. jaxvision does the five
+    calls in one pass."""
     cv2 = pytest.importorskip("cv2")
     image = RNG.uniform(0, 1, size=(*size, 3)).astype(np.float32)
 
@@ -81,7 +82,7 @@ def test_chain_of_exposure_matrix_gain_gamma(size):
         "opencv": opencv,
         "numpy": numpy,
     }
-    # near black the root makes 5e-4 of a rounding of 6e-8
+    # near black the power turns a rounding of 6e-8 into 5e-4
     seconds = report(f"chain {size[0]}x{size[1]}", rivals, 5e-4)
     assert seconds["ours, exp2"] < min(seconds["opencv"], seconds["numpy"])
 

@@ -1,4 +1,4 @@
-"""What a user of `jaxvision-fit brdf` waits for, of photographs of a ball, in whole processes."""
+"""Time `jaxvision-fit brdf` for photographs of a ball, in whole processes."""
 
 from functools import partial
 from tempfile import TemporaryDirectory
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.benchmark
 
 
 def test_the_command_on_photographs(tmp_path):
-    """All models under 10 lights; with nothing kept, and with the programs of a first run."""
+    """Time all models under 10 lights, with empty caches and with the programs of a first run."""
     size, radius, directions = 160, 78.0, light_directions(10)
     normals, rng = sphere_normals(size, radius), np.random.default_rng(0)
     camera = {"bits": 12, "black_level": 60.0, "gain": 0.25, "read_noise": 6.0}

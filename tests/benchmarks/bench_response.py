@@ -1,6 +1,6 @@
-"""The response curve against OpenCV 5's createCalibrateDebevec (300 samples) and
-createCalibrateRobertson, and colour-hdri's Debevec (1000 samples), on one RGB stack: time, and
-log-rms error of the curve.
+"""Compare the response curve with OpenCV 5's `createCalibrateDebevec` (300 samples) and
+`createCalibrateRobertson`, and colour-hdri's Debevec (1000 samples), on one RGB stack: time, and
+log-RMS error of the curve.
 
     pytest tests/benchmarks/bench_response.py -m benchmark -s
 """
@@ -25,14 +25,14 @@ def log_rms(found: np.ndarray, codes: np.ndarray) -> float:
 
 
 def colour_hdri_debevec(images: np.ndarray) -> dict[str, Callable[[], np.ndarray]]:
-    """Its (256, 3) curves of a stack; nothing where it is not installed."""
+    """Return colour-hdri's (256, 3) curves of a stack, or nothing if it is not installed."""
     try:
         import colour_hdri
     except ImportError:
         return {}
     stack = colour_hdri.ImageStack()
     for image, time in zip(images, TIMES, strict=True):
-        # Its exposures are t ISO / (100 N^2), N the f-number.
+        # Its exposures are t ISO / (100 N^2) with the f-number N.
         taken = colour_hdri.Metadata(f_number=1.0, exposure_time=time, iso=100.0)
         stack.append(colour_hdri.Image(data=image / 255, metadata=taken))
     solve = colour_hdri.camera_response_functions_Debevec1997

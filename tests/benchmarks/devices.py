@@ -1,13 +1,11 @@
-"""The same programs on a processor and on the accelerator beside it: seconds to compile, warm
-times, and how far the results lie apart. Writes a table in Markdown.
+"""Compare programs on a processor and on an accelerator: compilation time, warm time and results.
 
     python tests/benchmarks/devices.py [--only EXPRESSION] [--rounds 9] [--out FILE]
 
-Where JAX finds no accelerator there is one column of times. Each call waits for its result; inputs
-lie on the device already. Random numbers are the same on both, so that pictures of paths may be
-compared: a path whose shadow ray passes an edge on the other side changes its pixel, so the median
-difference stands beside the largest one.
-"""
+The script writes a table in Markdown, with one column of times if JAX finds no accelerator. Each
+call waits for its result, and inputs are on the device already. Random numbers are the same on both
+devices, so pictures of paths can be compared. A shadow ray that passes an edge on the other side
+changes its pixel, so the median difference is given besides the largest."""
 
 import argparse
 import re
@@ -54,7 +52,8 @@ ALL = replace(
 
 
 def lit_pixels() -> tuple:
-    """n.l, digital numbers and geometry of the lit pixels of a Phong sphere under ten lights."""
+    """Return n.l, digital numbers and geometry of the lit pixels of a Phong sphere under ten
+    lights."""
     normals = sphere_normals(64, 31.0).reshape(-1, 3)
     normals = normals[~np.isnan(normals[:, 2])]
     directions = light_directions(10)
@@ -110,14 +109,15 @@ def paths(side: int) -> Program:
 
 
 def radiosities(size: float) -> Program:
-    """Form factors and solution."""
+    """Return the program that computes form factors and solves for radiosity."""
     scene = box()
     plan = plan_patches(scene, size=size, split=1)
     return partial(radiosity, plan=plan, method="iterative"), (scene,)
 
 
 def walkers() -> Program:
-    """The reflectance posterior of 27,000 pixels where an ensemble's walkers stand."""
+    """Return the reflectance posterior of 27,000 pixels at the positions of an ensemble's
+    walkers."""
     posterior = reflectance_posterior()
     start = TRUTH + 1e-3 * np.random.default_rng(1).standard_normal((128, 3))
 
@@ -199,7 +199,8 @@ def rows() -> dict[str, Callable[[], Program]]:
 
 
 def timed(device: jax.Device, program: Program, rounds: int) -> tuple[float, float, list]:
-    """Seconds to compile, the median of warm calls, the leaves of the result."""
+    """Return the seconds of compilation, the median seconds of warm calls, and the leaves of the
+    result."""
     function, arguments = program
     arguments = jax.device_put(arguments, device)
     with jax.default_device(device):
@@ -218,7 +219,8 @@ def timed(device: jax.Device, program: Program, rounds: int) -> tuple[float, flo
 
 
 def apart(one: list, other: list) -> str:
-    """Median and largest difference of two results, in parts of the largest number in them."""
+    """Return the median and the largest difference of two results, relative to the largest number
+    in them."""
     pairs = [(a, b) for a, b in zip(one, other, strict=True) if a.dtype.kind in "fui" and a.size]
     a, b = (np.concatenate([np.ravel(p[k]).astype(np.float64) for p in pairs]) for k in (0, 1))
     if not np.array_equal(np.isfinite(a), np.isfinite(b)):

@@ -1,13 +1,11 @@
-"""How time and memory grow: picture size, samples, lights, triangles, walkers and observations,
-each over three decades. Writes a table in Markdown.
+"""Measure how time and memory grow with picture size, samples, lights, triangles, walkers and
+observations, each over three decades. Write a table in Markdown.
 
     PYTHONPATH=tests python tests/benchmarks/growth.py [--only WORD] [--out FILE]
 
-Each size has a process of its own, whose warm time is the least of three calls (of fewer where they
-are long), and whose memory is the largest resident set above the one after the imports. The slope
-is that of log time between the last two sizes, where what is constant counts least; theory says 1,
-for triangles nearly 0.
-"""
+Each size runs in its own process. Its time is the least of up to three warm calls, and its memory
+the largest resident set above the one after imports. The slope is the one of log time between the
+last two sizes, where constant costs matter least. Theory says 1, and nearly 0 for triangles."""
 
 import argparse
 import json
@@ -28,7 +26,7 @@ SIZES = {
     "observations: a fit of a line": (1_000, 10_000, 100_000, 1_000_000),
 }
 CALLS = 3
-LONG = 10  # s, after which no call follows
+LONG = 10  # s; after a longer call there is no further one
 
 
 def pixels(count):
@@ -123,7 +121,7 @@ def observations(count):
 
 
 def measured(subject, count):
-    """[seconds, MB] of one size; runs in a process of its own."""
+    """Return [seconds, MB] of one size. The function runs in a process of its own."""
     import jaxvision
 
     jaxvision.keep_memory()  # as the commands do

@@ -37,14 +37,15 @@ def row(*cells) -> None:
 
 
 def shares(z) -> list[str]:
-    """Shares of the intervals that contain the true value, and the mean and s.d. of z."""
+    """Return the shares of intervals that contain the true value, and the mean and s.d. of z."""
     z = np.ravel(z)
     inside = [np.mean(np.abs(z) < ndtri((1 + q) / 2)) for q in (0.5, 0.68, 0.95)]
     return [*(f"{share:.3f}" for share in inside), f"{z.mean():+.2f}", f"{z.std():.2f}"]
 
 
 def lamps(count: int = 200) -> None:
-    """Directions and positions from balls, and a reflectance fitted through those of a mirror."""
+    """Count coverage of light directions and positions from balls, and of a reflectance fitted with
+    the lights from a mirror ball."""
     for kind in ("mirror", "matte"):
         z, square, dof = balls.check_coverage(kind, range(count))
         joint = np.mean(square < chi2.ppf(0.95, dof))
@@ -66,7 +67,7 @@ def lamps(count: int = 200) -> None:
 
 
 def edges(count: int = 500) -> None:
-    """Half of the edges have the contrast of a twentieth, at the same noise."""
+    """Count coverage for edges. Half of them have a twentieth of the contrast at the same noise."""
     for name, high in (("levels 100 and 1000", 1000.0), ("levels 100 and 145", 145.0)):
         rng, found = np.random.default_rng(7), []
         for _ in range(count // 2):
@@ -104,7 +105,7 @@ def edges(count: int = 500) -> None:
 
 
 def placed(draws, truth):
-    """z of the true value among draws of a posterior."""
+    """Return z of the true value among draws of a posterior."""
     draws = np.asarray(draws)
     below = np.sum(draws < truth, axis=0) + np.sum(draws == truth, axis=0) / 2  # both may be 0
     return ndtri((below + 0.5) / (len(draws) + 1))
@@ -126,7 +127,7 @@ def charts(count: int = 40) -> None:
             found["curve"].append(placed(one.draws, true))
             found["readings"].append(placed(one.readings(others).draws, others @ true))
             balance = one.white_balance(colour.NIGHT)
-            off = (raw[1] / raw - balance.mean)[[0, 2]]  # of red and blue
+            off = (raw[1] / raw - balance.mean)[[0, 2]]  # for red and blue
             found["white balance"].append(off / balance.sd[[0, 2]])
         for what, z in found.items():
             row(name, what, count, *shares(z))
@@ -160,7 +161,8 @@ def mattes(count: int = 40) -> None:
 
 
 def close(count: int = 10) -> None:
-    """Positions off by 3 mm and powers by 1 %, as stated, or exact."""
+    """Count coverage under near lights, with positions wrong by 3 mm and powers by 1 % as stated,
+    or exact."""
     sds = np.array([0.003, 0.003, 0.003, 0.01])
     for kind in ("plane", "ball"):
         points, normals = near.surface(kind)
@@ -189,7 +191,8 @@ def close(count: int = 10) -> None:
 
 
 def hollows(count: int = 1) -> None:
-    """Normals with and without the light that parts of a hollow send each other; `count` seeds."""
+    """Count coverage for hollows, with and without correction for interreflection, over `count`
+    seeds."""
     for scene, lowest in ((hollow.bowl, 0.5), (hollow.bowl, 0.1), (hollow.groove, 0.8)):
         for albedo in (0.3, 0.6):
             for white in (None, 1000 / albedo):

@@ -1,8 +1,7 @@
-"""What the benchmarks beside Mitsuba 3 (`llvm_ad_rgb`) share: how it is found, its camera, the
-parallelogram, and the Cornell box of `oracles.cornell_box`.
+"""Shared parts of the benchmarks against Mitsuba 3 (`llvm_ad_rgb`): import, camera, parallelogram,
+and the Cornell box of `oracles.cornell_box`.
 
-Mitsuba needs the LLVM library that `DRJIT_LIBLLVM_PATH` names, see its documentation.
-"""
+Mitsuba needs the LLVM library that `DRJIT_LIBLLVM_PATH` names, see its documentation."""
 
 import os
 from typing import Any
@@ -13,7 +12,8 @@ from oracles import cornell_box
 
 
 def mitsuba() -> Any:
-    """The module, its variant set; the test is skipped, saying why, where it cannot run."""
+    """Return the module with its variant set, or skip the test with a reason if Mitsuba cannot
+    run."""
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
         pytest.skip("name Mitsuba's LLVM library in DRJIT_LIBLLVM_PATH")
     mi = pytest.importorskip("mitsuba")
@@ -22,7 +22,7 @@ def mitsuba() -> Any:
 
 
 def finished(result):
-    """A result of Mitsuba's once it is computed: it works on while Python goes ahead."""
+    """Wait for a result of Mitsuba, which computes asynchronously, and return it."""
     import drjit
 
     drjit.eval(result)
@@ -33,7 +33,8 @@ def finished(result):
 def perspective(
     mi, eye, target, up, *, field, side, pixel_format="rgb", sampler=None
 ) -> dict[str, Any]:
-    """A pinhole camera of `side` x `side` pixels, box filter, float32. `field`: degrees."""
+    """Return a pinhole camera of `side` x `side` pixels with a box filter, in float32. `field` is
+    in degrees."""
     toward = mi.ScalarTransform4f().look_at(*([float(x) for x in v] for v in (eye, target, up)))
     return {
         "type": "perspective",
@@ -52,7 +53,8 @@ def perspective(
 
 
 def parallelogram(mi, corner, u, v, **rest) -> dict[str, Any]:
-    """corner + a u + b v, a and b in [0, 1], its front where u x v points."""
+    """Return the parallelogram corner + a u + b v, with a and b in [0, 1] and its front towards u x
+    v."""
     corner, u, v = (np.asarray(x, float) for x in (corner, u, v))
     normal = np.cross(u, v)
     place = np.eye(4)
@@ -63,7 +65,7 @@ def parallelogram(mi, corner, u, v, **rest) -> dict[str, Any]:
 
 
 def rgb(value) -> dict[str, Any]:
-    """A colour, or one number for all three."""
+    """Return a colour, or one number for all three channels."""
     return {"type": "rgb", "value": np.asarray(value, float).tolist()}
 
 
@@ -72,8 +74,8 @@ def diffuse(albedo) -> dict[str, Any]:
 
 
 def mitsuba_cornell_box(mi, *, side, integrator):
-    """The published camera and box, `side` x `side` pixels: the parallelograms, colours and lamp
-    that `oracles.cornell_box` gives ours."""
+    """Return the published camera and box with `side` x `side` pixels, from the parallelograms,
+    colours and lamp of `oracles.cornell_box`."""
     box = cornell_box
     field = 2 * np.degrees(np.arctan(box.FILM / 2 / box.FOCAL_LENGTH))
     lamp = {"type": "area", "radiance": rgb(box.RADIANCE)}

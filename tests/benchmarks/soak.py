@@ -1,10 +1,10 @@
-"""Mixed tasks on workers that live on, and the memory of each: does it end flat?
+"""Run mixed tasks on persistent workers, and record whether their memory stays constant.
 
     PYTHONPATH=tests python tests/benchmarks/soak.py --minutes 60 --workers 2 --out soak.csv
 
-A round is a render of 12 tiles, 20 fits of a check and 3 folders of a study with their reports, as
-many commands give to one cluster. Prints the median memory of the first and the last sixth.
-"""
+A round is a render of 12 tiles, 20 fits of a check, and 3 folders of a study with their reports, as
+if many commands used one cluster. The script prints the median memory of the first and the last
+sixth."""
 
 import argparse
 import csv
@@ -30,7 +30,7 @@ from jaxvision.render_command import change_resolution, render_to_file
 
 
 def one_round(number: int, cameras: list[Path], folder: Path) -> None:
-    """One of each kind; seeds are new."""
+    """Run one task of each type with new seeds."""
     source = read_scene("cornell_box")
     source = replace(source, view=change_resolution(source.view, (24, 32)))
     settings = source.render.model_copy(update={"tile": 64, "samples": 1, "seed": number})
@@ -47,7 +47,7 @@ def _of_round(number: int, seed: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Runs rounds until the time is over."""
+    """Run rounds until the time is over."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--workers", type=int, default=2)

@@ -1,15 +1,14 @@
-"""What a user waits for, beside a peer that does the same: runs the benchmarks of the rows below, a
-process each, and writes `docs/speed.md`.
+"""Compare the speed of jaxvision with other programs, and write `docs/speed.md`.
 
     python tests/benchmarks/speed.py [--only WORD] [--kept FILE] [--beside FILE --named TEXT]
         [--out docs/speed.md]
 
-`--beside` adds a column from the `--kept` file of another Python, which `--named` describes.
-Killed, it goes on with the rows that `--kept` lacks; delete the file to measure anew. The whole
-takes about a quarter of an hour on two cores. Peers come with `pip install '.[bench]'`; Mitsuba
-needs `DRJIT_LIBLLVM_PATH`, of LLVM 19, say: 15 cannot compile its programs. A row whose peer is not
-there says so.
-"""
+Each row runs one benchmark in its own process. `--beside` adds a column from the `--kept` file of
+another Python version, which `--named` describes. A run that was killed continues with the rows
+that `--kept` lacks; delete the file to measure again. The whole run takes about a quarter of an
+hour on two cores. Install the other programs with `pip install '.[bench]'`. Mitsuba needs an LLVM
+library in `DRJIT_LIBLLVM_PATH`, for example LLVM 19 (15 cannot compile its programs). A row without
+its other program says so."""
 
 import argparse
 import json
@@ -35,10 +34,10 @@ class Row:
     """One comparison.
 
     Attributes:
-        about: what is done.
-        test: of which benchmark.
-        ours, peer: names of the rivals there; peer None: nobody does the same.
-        title: tells several comparisons of that test apart.
+        about: the task.
+        test: its benchmark.
+        ours, peer: names of the two programs in that benchmark; None if no other program does this.
+        title: distinguishes several comparisons in one benchmark.
     """
 
     about: str
@@ -126,12 +125,12 @@ def _rows() -> list[Row]:
 
 
 def measured(kept: Path) -> list[dict]:
-    """What the file holds, in the order of time."""
+    """Return the stored measurements in the order of time."""
     return list(map(json.loads, kept.read_text().splitlines())) if kept.is_file() else []
 
 
 def found_for(row: Row, records: list[dict]) -> dict | None:
-    """The last measurement of both rivals of a row."""
+    """Return the last measurement of both programs of a row."""
     rivals = {row.ours, row.peer} - {None}
     for found in reversed(records):
         same = (found["test"], found["title"]) == (row.test, row.title)
@@ -141,14 +140,14 @@ def found_for(row: Row, records: list[dict]) -> dict | None:
 
 
 def times_as_fast(row: Row, found: dict) -> np.ndarray:
-    """Of each round, at equal error where errors are known."""
+    """Return the ratio of times of each round, at equal error if errors are known."""
     ours, peer = (np.asarray(found["seconds"][name]) for name in (row.ours, row.peer))
     errors = found["errors"] or dict.fromkeys((row.ours, row.peer), 1.0)
     return peer / ours * (errors[row.peer] / errors[row.ours]) ** 2
 
 
 def cells(row: Row, found: dict | None) -> tuple[str, ...]:
-    """The times of a row, and how many times as fast as the peer."""
+    """Return the times of a row and the ratio to the other program."""
     if found is None:
         return "not run", "", ""
     ours = _duration(found["seconds"][row.ours])
@@ -160,7 +159,8 @@ def cells(row: Row, found: dict | None) -> tuple[str, ...]:
 
 
 def beside(row: Row, found: dict | None) -> str:
-    """The ratio of a row with another Python, or the time where there is no peer."""
+    """Return the ratio of a row under another Python version, or the time if no other program is
+    compared."""
     own, _, times = cells(row, found)
     return times or own
 

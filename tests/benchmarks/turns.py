@@ -1,6 +1,5 @@
-"""Rivals timed in turns, so that what else the machine does meets all of them alike. Freed memory
-is kept for the next large array, of all rivals, as the commands do.
-"""
+"""Time programs in alternation, so that other load on the machine affects all of them equally.
+Freed memory is kept for the next large array, as in the commands."""
 
 import json
 import os
@@ -13,8 +12,8 @@ import numpy as np
 
 from jaxvision import keep_memory
 
-_SETTLED = 0.05  # s: by then the last rival's threads, which spin while they wait, are asleep
-KEPT = "JAXVISION_BENCHMARKS"  # names the file to which every measurement is added
+_SETTLED = 0.05  # s: by then the last program's threads, which spin while they wait, are asleep
+KEPT = "JAXVISION_BENCHMARKS"  # names the file to which every measurement is appended
 
 keep_memory()
 
@@ -27,10 +26,12 @@ def in_turns(
     settled: float = _SETTLED,
     errors: dict[str, float] | None = None,
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """(seconds of the first call, median seconds of the later ones) of each. A rival's turn begins
-    with calls that do not count, for `settled` seconds, until it has the cores and the cache to
-    itself. `title` tells several comparisons of one test apart; `errors`, where they fall as one by
-    the square root of the time, say what times are to be compared at."""
+    """Return (seconds of the first call, median seconds of the later ones) for each program.
+
+    Before a program is timed, calls that do not count run for `settled` seconds, until it has the
+    cores and the cache to itself. `title` distinguishes several comparisons in one test. `errors`
+    are Monte Carlo errors, which fall as the root of the time, so that times can be compared at
+    equal error."""
     first, seconds = {}, {name: [] for name in rivals}
     for name, run in rivals.items():
         first[name] = _seconds(run)

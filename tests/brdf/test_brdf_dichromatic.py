@@ -1,4 +1,5 @@
-"""A sphere rendered with Shafer's model and taken apart again; where that fails, it shows."""
+"""Tests the separation of body and interface reflection (Shafer's model) on a rendered sphere, and
+that failures of the separation are detectable."""
 
 import jax
 import jax.numpy as jnp
@@ -30,13 +31,13 @@ RENDER = jax.jit(lambda scene: jv.render(scene, VIEW))
 
 
 def photograph(spectrum, *, body=BODY, interface=LOBE, light=LIGHT):
-    """(48, 48, 3) radiance of a sphere, black around it."""
+    """Return the radiance of a sphere, (48, 48, 3), black outside it."""
     ball = jv.Surface(jv.Sphere([0, 0, 3], 1.0), Dichromatic(body, interface, spectrum, [1.0]))
     return RENDER(jv.Scene([ball], [jv.DirectionalLight([0.5, 0.3, -1], 3 * light)]))
 
 
 def terms(found):
-    """Both terms as pictures."""
+    """Return both terms as pictures."""
     return (
         np.asarray(found.body)[..., None] * np.asarray(found.body_colour),
         np.asarray(found.interface)[..., None] * np.asarray(found.illuminant),
@@ -49,7 +50,7 @@ def unit(v):
 
 @pytest.fixture(scope="module")
 def red():
-    """The picture, and its two terms by themselves, rendered with the other left out."""
+    """Return the picture and its two terms, each rendered without the other."""
     none = NormalisedPhong([0.0], [0.0], 30.0)
     return (
         photograph(RED),
@@ -59,7 +60,7 @@ def red():
 
 
 @pytest.mark.slow
-def test_a_rendered_picture_comes_apart_into_what_it_was_made_of(red):
+def test_a_rendered_picture_is_separated_into_its_terms(red):
     image, body, interface = red
     found = separate(image, jnp.asarray(LIGHT), body=jnp.asarray(RED * LIGHT))
     np.testing.assert_allclose(terms(found)[0], body, atol=1e-13)
@@ -82,8 +83,9 @@ def test_the_body_colour_is_found_where_no_highlight_is(red):
 
 @pytest.mark.slow
 def test_dim_pixels_count_little_for_the_body_colour():
-    """Fifty dim pixels without any of the illuminant, and bright ones of the body c = (1, 2, 2) / 3
-    with highlights on most: two percent of the LIGHT lie below the smallest ratio of the latter."""
+    """Fifty dim pixels have no light of the illuminant, and bright pixels of the body (1, 2, 2) /
+    3 mostly have highlights. The dim pixels have two per cent of the light and the smallest ratio
+    of illuminant to body."""
     illuminant, across = np.array([1.0, 0, 0]), np.array([0, 1.0, 1.0]) / np.sqrt(2)
     body = np.array([1.0, 2, 2]) / 3
     highlights = np.linspace(0, 3, 150).clip(0.5)[:, None] - 0.5
@@ -93,7 +95,7 @@ def test_dim_pixels_count_little_for_the_body_colour():
 
 
 def test_least_squares_with_non_negative_factors_against_scipy():
-    """Noise that throws pixels out of the wedge on every side."""
+    """The noise moves pixels out of the wedge on every side. SciPy's `nnls` is the reference."""
     c = np.stack([unit([0.9, 0.3, 0.2]), unit(LIGHT)], axis=1)
     pixels = RNG.normal(0.1, 0.5, (200, 3))
     found = separated(jnp.asarray(pixels), jnp.asarray(LIGHT), body=jnp.asarray([0.9, 0.3, 0.2]))
@@ -106,7 +108,8 @@ def test_least_squares_with_non_negative_factors_against_scipy():
 @pytest.mark.sweep
 @pytest.mark.parametrize("spectrum", [RED, [0.5, 0.45, 0.4]])
 def test_noise_grows_as_promised(red, spectrum):
-    """The standard deviation of both factors is `noise_gain` times that of a band."""
+    """The standard deviation of both factors is `noise_gain` times the standard deviation of a
+    band."""
     image = photograph(np.asarray(spectrum))
     clean = separated(image, jnp.asarray(LIGHT), body=jnp.asarray(spectrum * LIGHT))
     sigma = 1e-4
@@ -120,14 +123,14 @@ def test_noise_grows_as_promised(red, spectrum):
 
 
 @pytest.mark.parametrize("name", ["body", "interface"])
-def test_a_delta_function_is_no_part(name):
+def test_a_mirror_as_body_or_interface_is_refused(name):
     parts = {"body": BODY, "interface": LOBE} | {name: Mirror([1.0])}
     with pytest.raises(ValueError, match=rf"Dichromatic\.{name} .* got Mirror, a delta function"):
         Dichromatic(*parts.values(), RED, [1.0])
 
 
-def test_a_neutral_body_is_seen_as_lost(red):
-    """Body and illuminant in one line: angle 0, and the noise gain says that nothing is known."""
+def test_a_neutral_body_is_detected_as_inseparable(red):
+    """Body and illuminant have the same colour. The angle is then 0, and the noise gain is huge."""
     image = photograph(FLAT * 0.5)
     found = separated(image, jnp.asarray(LIGHT))
     assert found.angle < 1e-6
@@ -145,7 +148,7 @@ def test_a_wrong_illuminant_leaves_the_plane_or_mixes_the_terms(red):
     assert outside.residual.max() > 0.05 * image.max()
     tinted = LIGHT - 0.3 * RED * LIGHT
     inside = separate(image, jnp.asarray(tinted), body=jnp.asarray(RED * LIGHT))
-    np.testing.assert_allclose(inside.residual, 0, atol=1e-12)  # no trace
+    np.testing.assert_allclose(inside.residual, 0, atol=1e-12)  # the residual does not show it
     highlight = terms(inside)[1]
     assert jnp.abs(highlight - interface).max() > 0.1 * interface.max()
 
@@ -163,7 +166,7 @@ def test_clipped_pixels_leave_the_plane_and_are_masked(red):
 
 
 def test_two_materials_give_the_illuminant(red):
-    """Lee's method: where the dichromatic planes meet."""
+    """Lee's method finds the illuminant at the intersection of the dichromatic planes."""
     normals = []
     for image in (red[0], photograph(GREEN)):
         normal, sizes = plane_normal(image)

@@ -1,9 +1,8 @@
-"""Every family of BRDFs under the same laws: one table, one compiled function for each.
+"""Tests all families of BRDFs with the same checks, each in one compiled function.
 
-Reciprocity, energy and reduction to the isotropic case where a family promises them, and the
-figure where it does not; samples against their density; albedo against adaptive quadrature and
-against the estimate that the sampler makes.
-"""
+The checks are reciprocity, energy conservation and the reduction to the isotropic case where a
+family promises them, and a measured value where it does not. Samples are compared with their
+density, and the albedo with adaptive quadrature and with the sampler's own estimate."""
 
 from functools import partial
 from itertools import pairwise, product
@@ -35,7 +34,7 @@ RNG = np.random.default_rng(17)
 KD, KS, ONE = [0.06, 0.1], [0.5, 0.4], [1.0]
 GLASS, GOLD = Dielectric([1.5, 1.5]), Conductor([0.2, 0.4], [3.1, 2.4])
 
-# name: (material, the same thing in plain NumPy for one pair of directions)
+# name: (material, the same reflectance in plain NumPy for one pair of directions)
 FAMILIES = {
     "lambert": (Lambert(KD), partial(brdfs.lambert, kd=KD)),
     "phong shading": (
@@ -103,7 +102,7 @@ FAMILIES = {
 NOT_RECIPROCAL = {"phong shading", "gaussian shading", "blinn shading"}
 every_family = pytest.mark.parametrize("name", FAMILIES)
 
-# One compiled function of each kind for all materials of one structure.
+# One compiled function for all materials of one structure.
 EVALUATE = jax.jit(jax.vmap(brdf.evaluate, in_axes=(None, 0, 0)))
 PDF = jax.jit(jax.vmap(brdf.pdf, in_axes=(None, 0, None)))
 SAMPLE = jax.jit(jax.vmap(brdf.sample, in_axes=(None, None, 0)))
@@ -111,7 +110,7 @@ ALBEDO = jax.jit(jax.vmap(brdf.albedo, in_axes=(None, 0)))
 
 
 def towards(theta, phi):
-    """Unit vectors (..., 3) at polar angle and azimuth."""
+    """Return unit vectors (..., 3) at polar angle and azimuth."""
     theta, phi = np.broadcast_arrays(theta, phi)
     return np.stack(
         [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
@@ -165,7 +164,8 @@ def test_bands_that_do_not_fit_are_named():
 
 @every_family
 def test_reciprocity(name):
-    """Where promised, to rounding; of the shading forms the ratio is that of the cosines."""
+    """Reciprocal families are reciprocal up to rounding. For the shading forms the ratio is the
+    ratio of the cosines."""
     material, _ = FAMILIES[name]
     wi, wo = PAIRS
     there, back = EVALUATE(material, wi, wo), EVALUATE(material, wo, wi)
@@ -179,8 +179,9 @@ def test_reciprocity(name):
 
 
 @every_family
-def test_turning_both_about_the_normal(name):
-    """Nothing changes, unless the surface is anisotropic."""
+def test_rotating_both_directions_about_the_normal(name):
+    """Rotating both directions about the normal changes nothing, unless the surface is
+    anisotropic."""
     material, _ = FAMILIES[name]
     c, s = np.cos(1.1), np.sin(1.1)
     turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -195,7 +196,8 @@ def test_turning_both_about_the_normal(name):
 @pytest.mark.sweep
 @every_family
 def test_albedo_against_adaptive_quadrature(name):
-    """Closed azimuths are exact; the two-dimensional rules err by what they promise."""
+    """Closed forms in azimuth are exact, and the two-dimensional rules have at most their stated
+    error."""
     material, plain = FAMILIES[name]
     got = ALBEDO(material, VIEWS)
     tolerance = 2e-4 if isinstance(material, TorranceSparrow | OrenNayar) else 1e-6
@@ -207,13 +209,14 @@ def test_albedo_against_adaptive_quadrature(name):
 @pytest.mark.sweep("v-cavity beckmann")
 @every_family
 def test_the_density_integrates_to_one(name):
-    """Over the whole sphere: below the surface lie the samples that carry no light."""
+    """The integral is over the whole sphere, because samples below the surface, which carry no
+    light, also have density."""
     material, _ = FAMILIES[name]
     node, weight = np.polynomial.legendre.leggauss(128)
     theta = np.pi / 2 * (node + 1)
     weights = np.repeat(np.pi / 2 * weight * np.sin(theta) * 2 * np.pi / 128, 128)
     around = towards(theta[:, None], 2 * np.pi * np.arange(128) / 128).reshape(-1, 3)
-    for wo in VIEWS[:3]:  # about the viewer, where half vectors crowd or thin out
+    for wo in VIEWS[:3]:  # about the viewer, where half vectors are dense or sparse
         nodes = jax.vmap(to_world, in_axes=(None, 0))(local_frame(wo), jnp.asarray(around))
         density = PDF(material, nodes, wo)
         assert (density >= 0).all()
@@ -223,7 +226,7 @@ def test_the_density_integrates_to_one(name):
 @pytest.mark.sweep
 @every_family
 def test_samples_follow_their_density(name):
-    """Chi-square over 12 x 16 cells of equal solid angle on the whole sphere."""
+    """A chi-square test over 12 x 16 cells of equal solid angle on the whole sphere."""
     material, _ = FAMILIES[name]
     wo, count, rows, columns, fine = VIEWS[1], 40_000, 12, 16, 12
     u = jnp.asarray(RNG.uniform(size=(count, 3)))
@@ -243,7 +246,8 @@ def test_samples_follow_their_density(name):
 
 
 def likelihood(observed, expected):
-    """Of a chi-square at least this large; cells of few samples count as one."""
+    """Return the probability of a chi-square at least this large, with cells of few samples merged
+    into one."""
     many = expected > 10
     few_seen, few_meant = observed[~many].sum(), expected[~many].sum()
     chi = ((observed - expected)[many] ** 2 / expected[many]).sum()
@@ -261,7 +265,7 @@ every_microfacet = pytest.mark.parametrize(
 @every_microfacet
 @pytest.mark.parametrize("cos_o", [0.9, 0.05])
 def test_samples_of_narrow_lobes_follow_their_density(distribution, shadowing, cos_o):
-    """alpha 0.1 seen from near the normal and at a grazing angle, drawn in float32."""
+    """The lobe (alpha 0.1) is seen near the normal and at a grazing angle, and drawn in float32."""
     lobe = TorranceSparrow([0.0], ONE, 0.1, distribution=distribution, shadowing=shadowing)
     count, rows, columns, fine, reach = 40_000, 16, 12, 8, 0.3
     wo = jnp.asarray([np.sqrt(1 - cos_o**2), 0, cos_o])
@@ -275,7 +279,7 @@ def test_samples_of_narrow_lobes_follow_their_density(distribution, shadowing, c
     h = np.stack([p, q, np.ones_like(p)], axis=-1) / np.sqrt(1 + p * p + q * q)[:, None]
     d = h @ np.asarray(wo)
     density = PDF(lobe, jnp.asarray(2 * d[:, None] * h - np.asarray(wo)), wo)
-    # dwi = 4 wo.h dh, dh = h.z^3 dp dq; facets turned away send nothing.
+    # dwi = 4 wo.h dh and dh = h.z^3 dp dq; facets that face away reflect nothing.
     density = np.where(d > 0, np.asarray(density) * 4 * d * h[:, 2] ** 3, 0)
     expected = density.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
     expected *= count * (2 * reach) ** 2 / (rows * columns)
@@ -285,9 +289,10 @@ def test_samples_of_narrow_lobes_follow_their_density(distribution, shadowing, c
 
 @pytest.mark.sweep
 @every_microfacet
-def test_no_sample_weighs_more_than_the_light_it_stands_for(distribution, shadowing):
-    """f_r cos / pdf is at most k_s where the facets drawn are those seen, and 2.7 k_s of Smith's
-    Beckmann facets, drawn as GGX ones: at the roughest and grazing."""
+def test_the_weight_of_a_sample_is_bounded(distribution, shadowing):
+    """The weight f_r cos / pdf is at most k_s if visible facets are drawn. It is at most 2.7 k_s
+    for Smith's Beckmann facets, which are drawn as GGX, at the largest roughness and grazing
+    angles."""
     lobe = TorranceSparrow([0.0], ONE, 1.0, distribution=distribution, shadowing=shadowing)
     most = 2.7 if (distribution, shadowing) == ("beckmann", "smith") else 1 + 1e-12
     u = jnp.asarray(RNG.uniform(size=(4000, 3)))
@@ -301,8 +306,9 @@ def test_no_sample_weighs_more_than_the_light_it_stands_for(distribution, shadow
 @pytest.mark.sweep
 @every_microfacet
 def test_albedo_of_the_roughest_facets(distribution, shadowing):
-    """alpha = 1 along the normal, where one integral over the polar angle is left (1 - ln 2 for
-    Smith's GGX), and at cos 0.02, where the horizon hides half of what a facet could mirror."""
+    """With alpha = 1 along the normal, one integral over the polar angle remains (1 - ln 2 for
+    Smith's GGX). At a cosine of 0.02, half of the directions that a facet could reflect to are
+    below the horizon."""
     lobe = TorranceSparrow([0.0], ONE, 1.0, distribution=distribution, shadowing=shadowing)
     views = towards(np.arccos([1.0, 0.02]), 0.3)
     got = np.asarray(ALBEDO(lobe, jnp.asarray(views)))[:, 0]
@@ -330,7 +336,7 @@ def test_albedo_of_the_roughest_facets(distribution, shadowing):
 # ------------------------------------------------ energy
 
 
-CLOSED = {  # families that promise albedo <= pi k_d + k_s, at their limit pi k_d + k_s = 1
+CLOSED = {  # families that promise albedo <= pi k_d + k_s, at pi k_d + k_s = 1
     **{f"normalised phong {n}": NormalisedPhong([0.0], ONE, n) for n in (0.0, 1.0, 10.0, 1e3, 1e6)},
     **{f"normalised blinn {n}": NormalisedBlinn([0.0], ONE, n) for n in (0.0, 1.0, 10.0, 1e3, 1e6)},
     **{
@@ -344,8 +350,9 @@ CLOSED = {  # families that promise albedo <= pi k_d + k_s, at their limit pi k_
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", CLOSED)
-def test_no_more_is_reflected_than_arrives(name):
-    """Albedo from the normal to grazing, with the coefficients at the limit of the promise."""
+def test_albedo_is_at_most_one(name):
+    """The albedo is at most 1 from the normal to grazing angles, with coefficients at the limit of
+    the promise."""
     grazing = np.arccos([0.02, 1e-3, 1e-4])
     views = jnp.asarray(towards(np.concatenate([np.linspace(0, 1.5, 11), grazing]), 0.3))
     got = np.asarray(ALBEDO(CLOSED[name], views))
@@ -354,8 +361,9 @@ def test_no_more_is_reflected_than_arrives(name):
 
 
 @pytest.mark.slow
-def test_what_a_bright_body_under_glass_reflects():
-    """Nothing is taken from k_d: pi k_d + k_s is the bound, and the figure goes past 1."""
+def test_albedo_of_a_bright_body_under_glass():
+    """The body is not attenuated by the interface, so the albedo exceeds 1 and is bounded by pi k_d
+    + k_s."""
     cos_o = np.array([1, 0.5, 0.2, 0.05, 0.02, 1e-4])
     bright = TorranceSparrow([0.9 / np.pi], ONE, 0.1, interface=Dielectric([1.5]))
     got = np.asarray(ALBEDO(bright, jnp.asarray(towards(np.arccos(cos_o), 0.3))))[:, 0]
@@ -366,9 +374,9 @@ def test_what_a_bright_body_under_glass_reflects():
 @pytest.mark.sweep
 @pytest.mark.parametrize("r", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("cos_o", [1.0, 0.5, 0.05, 1e-4])
-def test_white_facets_that_light_each_other_return_all_light(r, cos_o):
-    """EON of albedo 1: the integral of f_r cos(theta_i), by adaptive quadrature between the bends,
-    is 1, and so is the closed form; of grey facets the two agree."""
+def test_white_facets_with_multiple_scattering_return_all_light(r, cos_o):
+    """For EON with albedo 1, the integral of f_r cos(theta_i) by adaptive quadrature between the
+    kinks is 1, and so is the closed form. For grey facets the two agree."""
     wo = jnp.asarray([np.sqrt(1 - cos_o**2), 0, cos_o])
     edges = np.unique(np.clip([0, cos_o / 2, cos_o, 2 * cos_o, 20 * cos_o, 1], 0, 1))
     x, w = np.polynomial.legendre.leggauss(60)
@@ -391,15 +399,16 @@ def test_white_facets_that_light_each_other_return_all_light(r, cos_o):
     [(0.1, 2e-5, 1.1e-8), (0.5, 3e-6, 3e-9), (1.5, 3e-9, 1e-11), (2.3, 1e-10, 1e-10)],
 )
 def test_a_blunt_lobe_about_the_normal(n, plain, cosine):
-    """2 pi / (n + 1) and 2 pi / (n + 2), to what the docstring says where n is not whole."""
+    """The integrals are 2 pi / (n + 1) and 2 pi / (n + 2), within the docstring's error if n is not
+    an integer."""
     got = jax.jit(power_integrals)(jnp.asarray(1.0), jnp.asarray(n))
     np.testing.assert_allclose(got[0], 2 * np.pi / (n + 1), rtol=plain)
     np.testing.assert_allclose(got[1], 2 * np.pi / (n + 2), rtol=cosine)
 
 
 @pytest.mark.slow
-def test_what_the_textbook_lobes_and_the_full_oren_nayar_do_to_energy():
-    """The measured figures where nothing is promised."""
+def test_energy_of_the_textbook_lobes_and_the_full_oren_nayar():
+    """These families promise no energy conservation, and the test pins the measured values."""
     grazing = jnp.asarray(towards(np.array([1.5]), 0.0))
     nodes, weights = product_nodes(64, 128)
 
@@ -407,7 +416,7 @@ def test_what_the_textbook_lobes_and_the_full_oren_nayar_do_to_energy():
         wi = jnp.broadcast_to(grazing, nodes.shape)
         return float((weights * nodes[:, 2]) @ EVALUATE(material, wi, jnp.asarray(nodes))[:, 0])
 
-    # k_s such that a normal view sees albedo 1
+    # k_s for which a normal view sees an albedo of 1
     np.testing.assert_allclose(sent_out(Phong([0.0], [11 / (2 * np.pi)], 10.0)), 2.09, atol=0.01)
     np.testing.assert_allclose(
         sent_out(PhongBRDF([0.0], [12 / (2 * np.pi)], 10.0)), 0.161, atol=0.001
@@ -422,7 +431,7 @@ def test_what_the_textbook_lobes_and_the_full_oren_nayar_do_to_energy():
 
 
 class Unregistered(Material):
-    """What nobody knows."""
+    """A material that no table knows."""
 
 
 def test_the_table_names_what_is_missing():
@@ -435,8 +444,8 @@ def test_the_table_names_what_is_missing():
 # ------------------------------------------------ the mirror
 
 
-def test_a_mirror_sends_all_light_one_way():
-    """No density; the sample is the mirror direction and its weight the albedo."""
+def test_a_mirror_reflects_all_light_into_one_direction():
+    """The mirror has no density. Its sample is the mirror direction, weighted by the albedo."""
     material, wo = Mirror([0.9, 0.8]), VIEWS[1]
     s = brdf.sample(material, wo, jnp.asarray([0.1, 0.2, 0.3]))
     np.testing.assert_allclose(s, jv.mirror_direction(jnp.asarray([0.0, 0, 1]), wo), rtol=1e-15)
@@ -446,8 +455,8 @@ def test_a_mirror_sends_all_light_one_way():
 
 
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
-def test_facets_cover_the_surface_once_and_all_that_is_seen_is_seen(distribution):
-    """The integrals that define D and G1 (Heitz 2014, equations 3 and 14)."""
+def test_projected_areas_of_facets_and_of_visible_facets(distribution):
+    """Checks the integrals that define D and G1 (Heitz 2014, equations 3 and 14)."""
     t, dt = np.polynomial.legendre.leggauss(200)
     theta = np.pi / 4 * (t + 1)
     weights = np.repeat(np.pi / 4 * dt * np.sin(theta) * 2 * np.pi / 128, 128)
@@ -464,8 +473,8 @@ def test_facets_cover_the_surface_once_and_all_that_is_seen_is_seen(distribution
 
 
 def test_neutral_and_shared_coefficients():
-    """k_s of one band serves all bands; one array may be k_a and k_d, and its gradient is then
-    the sum of both roles."""
+    """A k_s of one band applies to all bands. If one array is both k_a and k_d, its gradient is the
+    sum of both."""
     wi, wo = PAIRS[0][0], PAIRS[1][0]
     neutral = brdf.evaluate(PhongBRDF(KD, [0.3], 5.0), wi, wo)
     spelled = brdf.evaluate(PhongBRDF(KD, [0.3, 0.3], 5.0), wi, wo)
@@ -484,12 +493,12 @@ def test_neutral_and_shared_coefficients():
     np.testing.assert_allclose(jax.grad(lambda k: seen(k, k))(kd), sum(apart), rtol=1e-15)
 
 
-def test_the_tangent_turns_an_anisotropic_surface():
-    """In the world: turning the tangent is turning the light and the view the other way."""
+def test_the_tangent_rotates_an_anisotropic_surface():
+    """Rotating the tangent is equivalent to rotating light and view by the opposite angle."""
     material, _ = FAMILIES["anisotropic ggx"]
     up = jnp.asarray([0.0, 0.0, 1.0])
     wi, wo = PAIRS[0][0], PAIRS[1][0]
-    tangent = jnp.asarray([np.cos(0.8), np.sin(0.8), 0.4])  # its part along the normal is ignored
+    tangent = jnp.asarray([np.cos(0.8), np.sin(0.8), 0.4])  # z is ignored
     c, s = np.cos(-0.8), np.sin(-0.8)
     turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     got = brdf.reflect(material, up, wi, wo, tangent=tangent)

@@ -1,4 +1,5 @@
-"""Energy of coats and of facets that light each other: furnaces, a random walk, other programs."""
+"""Tests the energy of coats and of multiple scattering against white furnaces, random walks and
+other programs."""
 
 from functools import partial
 
@@ -33,8 +34,9 @@ VIEWS = towards(np.arccos(COSINES))
 @pytest.mark.slow
 @distributions
 def test_white_furnace(distribution):
-    """The albedo of the library's own quadrature, of the interface 32 x 64 nodes, which the fitted
-    shares have never seen: all light returns, to 1e-3, from the normal down to 0.06 degrees."""
+    """All light returns, within 1e-3, from the normal to 0.06 degrees above the horizon. The albedo
+    is computed by the library's quadrature, at nodes (32 x 64 for the interface) that the fit of
+    the shares did not use."""
     for alpha in (0.0, 1e-3, 0.02, 0.3, 1.0):
         coat = jv.Coated(WHITE, GLASS, alpha, distribution=distribution)
         facets = MULTIPLE([1.0], alpha, distribution=distribution)
@@ -43,7 +45,8 @@ def test_white_furnace(distribution):
 
 
 def _furnace(coat, view):
-    """The albedo, of the light from the body by a product quadrature over the outside."""
+    """Return the albedo, with the light from the body integrated by a product quadrature
+    outside."""
     t, dt = np.polynomial.legendre.leggauss(32)
     t, dt = (t + 1) / 2, dt / 2
     phi = np.arange(96) * 2 * np.pi / 96
@@ -76,7 +79,8 @@ def _furnace(coat, view):
     ],
 )
 def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
-    """They had returned 1.024, 1.11 and 1.37 of the light at normal view."""
+    """The albedo is 1. An earlier version returned 1.024, 1.11 and 1.37 of the light at normal
+    view."""
     coat = jv.Coated(body, GLASS, roughness)
     for cosine in (1.0, 0.7, 0.3):
         found = jax.jit(_furnace)(coat, towards(np.arccos(cosine)))
@@ -95,8 +99,8 @@ def test_white_bodies_of_any_kind_gain_no_light(body, roughness, most):
     ids=["OrenNayar", "TorranceSparrow", "Phong", "brushed"],
 )
 def test_light_that_returns_to_the_body_by_a_dense_quadrature(body):
-    """a_i a_o / (pi (R - S)) under a smooth interface, with Fresnel's formulas and 64 x 180 nodes;
-    what the library interpolates."""
+    """Checks a_i a_o / (pi (R - S)) under a smooth interface, which the library interpolates,
+    against Fresnel's formulas with 64 x 180 nodes."""
     eta = 1.5
     t, dt = np.polynomial.legendre.leggauss(32)
     t, dt = (t + 1) / 2, dt / 2
@@ -112,7 +116,7 @@ def test_light_that_returns_to_the_body_by_a_dense_quadrature(body):
         return jnp.pi * weights @ every.mean(axis=1)
 
     def share(angle, azimuth):
-        """The integral of f_b r cos over the hemisphere inside."""
+        """Return the integral of f_b r cos over the hemisphere inside."""
         return share_toward(brdf.coated.as_vec(towards(angle, azimuth)))
 
     outside, azimuths = np.array([0.1, 0.9, 1.4]), np.array([0.3, 1.0, 2.5])
@@ -140,8 +144,9 @@ def test_white_furnace_of_every_index(distribution, eta):
 
 
 @pytest.mark.slow
-def test_light_is_never_gained_and_goes_both_ways():
-    """Grey and absorbing coats over matt and rough bodies; f_r reciprocal to rounding."""
+def test_albedo_is_at_most_one_and_coats_are_reciprocal():
+    """Grey and absorbing coats over matte and rough bodies reflect less than all light, and f_r is
+    reciprocal up to rounding."""
     rng = np.random.default_rng(0)
     w = rng.normal(size=(2, 200, 3))
     w[..., 2] = np.abs(w[..., 2])
@@ -165,7 +170,8 @@ def test_light_is_never_gained_and_goes_both_ways():
 
 @pytest.mark.parametrize("cos_o", [1.0, 0.3])
 def test_a_random_walk_of_photons(cos_o):
-    """Photons through a smooth interface onto a Lambertian body and up again, by NumPy."""
+    """A NumPy random walk sends photons through a smooth interface onto a Lambertian body and
+    back."""
     rng, eta, rho, depth = np.random.default_rng(1), 1.5, 0.7, 0.2
     count = 400_000
     out = rng.random(count) < fresnel(cos_o, eta)
@@ -174,7 +180,7 @@ def test_a_random_walk_of_photons(cos_o):
     cosine = np.full(len(inside), np.sqrt(1 - (1 - cos_o**2) / eta**2))
     while len(cosine):
         cosine = cosine[rng.random(len(cosine)) < np.exp(-depth / cosine)]
-        up = np.sqrt(rng.random((rng.random(len(cosine)) < rho).sum()))  # off the body
+        up = np.sqrt(rng.random((rng.random(len(cosine)) < rho).sum()))  # reflected by the body
         up = up[rng.random(len(up)) < np.exp(-depth / up)]
         back = rng.random(len(up)) < fresnel(up, 1 / eta)
         escaped += (~back).sum()
@@ -187,8 +193,9 @@ def test_a_random_walk_of_photons(cos_o):
 @pytest.mark.slow
 @pytest.mark.parametrize(("alpha", "most"), [(0.05, 0.006), (0.2, 0.02)])
 def test_a_random_walk_through_facets(alpha, most):
-    """As in pbrt's `coateddiffuse`, but for the light that facets stop, which stays. At a roughness
-    of .5 the walk returns 4 to 7 % less: it stops light on its way out that the coat lets pass."""
+    """The walk is the one of pbrt's `coateddiffuse`, except that light stopped by facets is kept.
+    At a roughness of .5 the walk returns 4 to 7 % less, because it stops light on the way out that
+    the coat transmits."""
     for rho, cosine in ((0.2, 1.0), (0.7, 0.4)):
         coat = jv.Coated(jv.Lambert([rho / np.pi]), GLASS, alpha)
         got = float(ALBEDO(coat, towards(np.arccos([cosine])))[0, 0])
@@ -196,9 +203,10 @@ def test_a_random_walk_through_facets(alpha, most):
 
 
 @pytest.mark.slow
-def test_the_plastic_of_other_programs():
-    """Mitsuba 3.9.1's `plastic` (int_ior 1.5, ext_ior 1, reflectance 0.9, 0.5, 0.1, nonlinear),
-    evaluated in scalar_rgb, over the cosine: its returned share is a fit, 1e-3 too large."""
+def test_mitsubas_plastic():
+    """Reference values are from Mitsuba 3.9.1's `plastic` (int_ior 1.5, ext_ior 1, reflectance 0.9,
+    0.5, 0.1, nonlinear) in scalar_rgb, divided by the cosine. Mitsuba's fitted internal reflectance
+    is 1e-3 too large."""
     angles = [(0.5, 0.9, 1.0), (1.2, 0.3, 2.0), (1.4, 1.3, 3.0)]
     theirs = [
         [0.247686, 0.090782, 0.013547],
@@ -211,13 +219,13 @@ def test_the_plastic_of_other_programs():
     )
     coat = jv.Coated(jv.Lambert(np.array([0.9, 0.5, 0.1]) / np.pi), GLASS)
     np.testing.assert_allclose(EVALUATE(coat, wi, wo), theirs, rtol=1.5e-3)
-    # the same by its formula, with the share by adaptive quadrature
+    # the same formula, with the internal reflectance by adaptive quadrature
     kept, _ = integrate.quad(lambda c: 2 * c * fresnel(c, 1 / 1.5), 0, 1, points=[np.sqrt(5) / 3])
     way = [(1 - fresnel(np.cos(i), 1.5)) * (1 - fresnel(np.cos(o), 1.5)) for i, o, _ in angles]
     rho = np.array([0.9, 0.5, 0.1])
     exact = np.array(way)[:, None] * rho / (1 - rho * kept) / np.pi / 1.5**2
     np.testing.assert_allclose(EVALUATE(coat, wi, wo), exact, rtol=3e-4)
-    # and the first, a picture of a coat that faces the camera
+    # and for the first pair a picture of a coat that faces the camera
     floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), coat)
     view = jv.Orthographic([0, 0, 9], np.diag([1.0, -1, -1]), 0.1, resolution=(1, 1))
     lamp = jv.DirectionalLight(towards(0.5), [1.0])
@@ -228,7 +236,8 @@ def test_the_plastic_of_other_programs():
 @pytest.mark.sweep
 @pytest.mark.parametrize("cos_o", [0.9, 0.1])
 def test_samples_follow_their_density(cos_o):
-    """Chi-square over 16 x 12 cells of the sphere, the expected counts by 8 x 8 points each."""
+    """A chi-square test over 16 x 12 cells of the sphere, with expected counts from 8 x 8 points in
+    each."""
     coat = jv.Coated(jv.EON([0.2], 0.5), GLASS, 0.3)
     wo, count, rows, columns, fine = towards(np.arccos(cos_o)), 40_000, 16, 12, 8
     u = jnp.asarray(np.random.default_rng(2).random((count, 3)))
@@ -247,7 +256,7 @@ def test_samples_follow_their_density(cos_o):
     assert stats.chi2.sf(chi, many.sum()) > 1e-4
 
 
-def test_what_a_coat_cannot_be_is_named():
+def test_invalid_coats_are_refused():
     with pytest.raises(
         ValueError, match=r"Coated\.interface must have one index from 1\.1 to 2\.5"
     ):
@@ -260,7 +269,7 @@ def test_what_a_coat_cannot_be_is_named():
 
 @pytest.mark.slow
 def test_bounds_hold():
-    """f_r cos of the body and of the lobe, at directions down to the horizon."""
+    """The bounds cover f_r cos of body and lobe, for directions down to the horizon."""
     from jaxvision.core._bounds import Ends
 
     rng = np.random.default_rng(3)
@@ -280,6 +289,7 @@ def test_bounds_hold():
 
 
 def test_a_body_that_reflects_more_than_it_receives_is_refused():
-    """An albedo in place of sr^-1 had given an albedo of -6.5."""
+    """The coefficient is an albedo instead of sr^-1. Without the check the result was an albedo of
+    -6.5."""
     with pytest.raises(ValueError, match=r"reflects 1.88 of its light, and at most 1"):
         jv.Coated(jv.Lambert([0.6]), jv.Dielectric([1.5]), 0.1)

@@ -1,4 +1,4 @@
-"""Fresnel reflectance against the complex amplitudes in 50 digits, and known angles."""
+"""Tests Fresnel reflectance against the complex amplitudes with 50 digits, and at known angles."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,8 @@ both_precisions = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 
 
 def amplitudes(cos_i, eta, k=0):
-    """Unpolarised reflectance from the amplitudes of both polarisations, any complex index."""
+    """Return the unpolarised reflectance from the amplitudes of both polarisations, for any complex
+    index."""
     m = mp.mpc(eta, k)
     cos_t = mp.sqrt(1 - (1 - cos_i**2) / m**2)
     s = (cos_i - m * cos_t) / (cos_i + m * cos_t)
@@ -30,8 +31,9 @@ def amplitudes(cos_i, eta, k=0):
 
 
 @both_precisions
-def test_where_most_is_reflected_in_ulps(dtype):
-    """At grazing angles R = 1 - T has the digits of T, which is small; metals at every angle."""
+def test_high_reflectance_in_ulps(dtype):
+    """At grazing angles R = 1 - T has as many digits as T, which is small. Metals are tested at
+    every angle."""
     cosines = jnp.asarray(np.geomspace(1e-8, 0.1, 30), dtype)
     metals = jax.jit(jax.vmap(fresnel_conductor, (0, None, None)))
     glasses = jax.jit(jax.vmap(fresnel_dielectric, (0, None)))
@@ -63,8 +65,8 @@ def test_nan_reflects_nothing_and_no_index_is_too_large():
 
 
 def test_known_angles():
-    """Normal incidence on glass 4 %, no p-polarised light at Brewster's angle, all beyond the
-    critical one."""
+    """Glass reflects 4 % at normal incidence, no p-polarised light at Brewster's angle, and all
+    light beyond the critical angle."""
     glass, reflected = np.array([1.5]), jax.jit(fresnel_dielectric)
     np.testing.assert_allclose(reflected(np.array(1.0), glass), 0.04, rtol=1e-14)
     brewster = np.cos(np.arctan(1.5))
@@ -75,7 +77,7 @@ def test_known_angles():
     np.testing.assert_array_equal(reflected(beyond, 1 / glass), 1)
 
 
-def test_schlick_is_near_the_truth_and_dispatch_picks_the_right_one():
+def test_schlick_is_near_the_exact_value_and_dispatch_picks_the_right_one():
     c = jnp.asarray(0.3)
     np.testing.assert_allclose(
         fresnel_schlick(c, jnp.asarray([0.04])), 0.04 + 0.96 * 0.7**5, rtol=1e-14
@@ -91,7 +93,7 @@ def test_schlick_is_near_the_truth_and_dispatch_picks_the_right_one():
 @both_precisions
 def test_gradients_are_finite_everywhere(dtype):
     cosines = jnp.asarray([-0.5, 0, 1e-8, 0.6, 0.8, 1, 1.5], dtype)
-    indices = jnp.asarray([0.6, 0.8, 1.0, 1.5], dtype)  # 0.6: critical at cos 0.8
+    indices = jnp.asarray([0.6, 0.8, 1.0, 1.5], dtype)  # 0.6: critical at a cosine of 0.8
 
     def total(c, eta):
         k = eta / 2

@@ -1,4 +1,5 @@
-"""Tables and measured materials: against SciPy and naive loops; physics; samplers."""
+"""Tests tables and measured materials against SciPy and naive loops, with physical laws, and their
+samplers."""
 
 from functools import partial
 
@@ -62,12 +63,12 @@ def angles(w):
 
 
 def around(nodes, phi):
-    """The angles moved into the turn that starts at nodes[0]."""
+    """Return the angles shifted by whole turns into the one that starts at nodes[0]."""
     return nodes[0] + (phi - nodes[0]) % (2 * np.pi)
 
 
 def closed(nodes, values, axis):
-    """The axis with its first node repeated a turn later."""
+    """Return the axis with its first node repeated one turn later."""
     return np.append(nodes, nodes[0] + 2 * np.pi), np.concatenate(
         [values, values.take([0], axis)], axis
     )
@@ -117,7 +118,8 @@ def test_anisotropic_table_is_linear_in_each_angle():
 
 @pytest.mark.slow
 def test_beyond_the_measured_range():
-    """Clamped, extrapolated (never below 0) or zero: one direction beyond both outermost nodes."""
+    """Values are clamped, extrapolated (never below 0) or zero. One direction is beyond both
+    outermost nodes."""
     wi, wo = pairs()
     (theta_i, phi_i), (theta_o, phi_o) = angles(wi), angles(wo)
     between = np.abs((phi_o - phi_i + np.pi) % (2 * np.pi) - np.pi)
@@ -183,7 +185,8 @@ def test_between_bins_is_linear():
 
 @pytest.mark.slow
 def test_rgl_against_the_published_construction():
-    """Naive integrals of the interpolated densities, one pair of directions at a time."""
+    """The reference computes naive integrals of the interpolated densities for one pair of
+    directions at a time."""
 
     @jax.jit
     @partial(jax.vmap, in_axes=(None, 0, 0))
@@ -219,8 +222,8 @@ def rgl_of(fields, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("symmetry", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_rgl_sectors_repeat(symmetry):
-    """A table of one sector answers alike for the turned (2) or mirrored (4) pair, and for `wo`
-    in the sector as the table of a whole turn does."""
+    """A table of one sector gives equal values for rotated (2) or mirrored (4) pairs. If `wo` is in
+    the sector, it equals the table of a whole turn."""
     phi = np.linspace(-np.pi, -np.pi + 2 * np.pi / symmetry, 4)
     fields = oracle.rgl_fields(np.random.default_rng(4), phi=phi)
     material, whole = rgl_of(fields, symmetry=symmetry), rgl_of(fields)
@@ -275,7 +278,8 @@ def test_turning_both_directions_changes_nothing(name):
 
 
 def shiny():
-    """A half-difference table of a lobe a few degrees wide on a dim base, its sampler tabulated."""
+    """Return a half-difference table of a lobe a few degrees wide on a dim base, with a tabulated
+    sampler."""
     theta_h, theta_d, _ = bin_angles(HalfDifferenceTable(jnp.zeros((45, 12, 8, 1))))
     lobe = 8 * jnp.exp(-jnp.square(jnp.tan(theta_h) / 0.08))
     values = 0.05 + lobe[:, None] * (1 + jnp.square(theta_d))[None, :]
@@ -285,7 +289,7 @@ def shiny():
 
 
 def streaked():
-    """An anisotropic table whose lobe is longer across x than along it."""
+    """Return an anisotropic table whose lobe is longer across x than along it."""
     theta, phi = np.linspace(0, 1.55, 10), np.linspace(-np.pi, np.pi, 16, endpoint=False)
     axes = np.meshgrid(theta, phi, theta, phi, indexing="ij")
     wi, wo = (
@@ -318,15 +322,15 @@ SAMPLED = {
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("anisotropic", "rgl")),
     ],
 )
-def test_draws_follow_the_density_and_reflect_what_the_quadrature_says(name):
-    """Chi-square over 16 x 16 cells of the whole sphere, at the 1e-4 level."""
+def test_draws_follow_the_density_and_their_albedo_equals_the_quadrature(name):
+    """A chi-square test over 16 x 16 cells of the whole sphere, at the 1e-4 level."""
     material, count = SAMPLED[name](), 192**2  # draws, cells and quadrature share one shape
     rng = np.random.default_rng(8)
     wo = jnp.asarray([np.sin(0.8) * np.cos(0.7), np.sin(0.8) * np.sin(0.7), np.cos(0.8)])
     wi = np.asarray(sample(material, wo, jnp.asarray(rng.random((count, 3)))))
     np.testing.assert_allclose(np.linalg.norm(wi, axis=1), 1, atol=1e-12)
 
-    side, fine = 16, 12  # cells a side, midpoints a cell and axis
+    side, fine = 16, 12  # cells a side, midpoints per cell and axis
     z = -1 + (np.arange(side * fine) + 0.5) * 2 / (side * fine)
     phi = -np.pi + (np.arange(side * fine) + 0.5) * 2 * np.pi / (side * fine)
     zz, pp = np.meshgrid(z, phi, indexing="ij")
@@ -360,7 +364,8 @@ def test_draws_follow_the_density_and_reflect_what_the_quadrature_says(name):
 
 @pytest.mark.slow
 def test_samples_of_a_material_rebuild_its_table():
-    """Taken at the nodes; and through a vmap of the records' own order of angles."""
+    """The samples are taken at the table's nodes, and through a vmap over the records' own order of
+    angles."""
     samples = taken(ISOTROPIC, ISOTROPIC.theta_i, ISOTROPIC.theta_o, ISOTROPIC.phi)
     np.testing.assert_allclose(
         samples.values.reshape(4, 4, 4, 2), ISOTROPIC.values, rtol=1e-12, atol=1e-12
@@ -377,7 +382,7 @@ def test_samples_of_a_material_rebuild_its_table():
 
 
 @pytest.mark.slow
-def test_samples_of_an_rgl_material_hold_no_cosine():
+def test_samples_of_an_rgl_material_contain_no_cosine():
     material = rgl_of(oracle.rgl_fields(np.random.default_rng(3)))
     theta_i, theta_o, phi = jnp.asarray([0.5, 1.1]), jnp.asarray([0.3]), jnp.asarray([2.0])
     samples = taken(material, theta_i, theta_o, phi)

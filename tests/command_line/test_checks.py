@@ -1,4 +1,5 @@
-"""Checks of coverage: right places pass, planted faults are flagged, runs go on; real fits hold."""
+"""Tests of coverage checks: calibrated intervals pass, planted faults are flagged, and runs
+continue. Also checks the coverage of real fits."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -26,8 +27,8 @@ def z_of(count, *, sd=1.0, mean=0.0, seed=0):
     return ndtr(mean + sd * np.random.default_rng(seed).standard_normal((count, 3)))
 
 
-def test_right_places_are_not_flagged():
-    """One check in a hundred may be."""
+def test_calibrated_intervals_are_not_flagged():
+    """At most 5 of 100 checks of correct intervals are flagged, where one is expected."""
     flagged = [
         any(one.faults for one in coverage(z_of(500, seed=seed), ("a", "b", "c")))
         for seed in range(100)
@@ -36,8 +37,9 @@ def test_right_places_are_not_flagged():
 
 
 @pytest.mark.slow
-def test_a_gamma_is_printed_where_the_shutter_shows_nothing():
-    """The posterior is nearly flat in ln tau: it has no curvature there, yet an interval."""
+def test_a_gamma_has_an_interval_although_the_shutter_is_unidentifiable():
+    """The posterior of ln tau is nearly flat and has no curvature, but it still gives an
+    interval."""
     for seed in (70000, 70012):
         found = response.places(response.CASES["three exposures off by 1 %"], seed)
         assert np.isfinite(found).all()
@@ -45,7 +47,7 @@ def test_a_gamma_is_printed_where_the_shutter_shows_nothing():
 
 @pytest.mark.parametrize("fault", [{"sd": 1.25}, {"sd": 0.8}, {"mean": 0.2}])
 def test_planted_faults_are_flagged(fault):
-    """Errors that are .8 and 1.25 times what they should be, and a bias of a fifth of one."""
+    """The faults are errors .8 and 1.25 times the right ones, and a bias of a fifth of an error."""
     for one in coverage(z_of(2000, **fault), ("a", "b", "c")):
         assert one.faults
         assert abs(one.z_sd - fault.get("sd", 1.0)) < 0.05
@@ -54,8 +56,9 @@ def test_planted_faults_are_flagged(fault):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("sd", [0.8, 1.25])
-def test_two_hundred_fits_show_one_parameter_whose_errors_are_a_fifth_off(sd):
-    """As often as the chi-square test can; shares and ranks alone did in 65 of 100 checks."""
+def test_two_hundred_fits_flag_one_parameter_whose_errors_are_wrong_by_a_fifth(sd):
+    """The fault is found as often as the chi-square test can find it. With shares and ranks alone
+    it was found in 65 of 100 checks."""
     sizes = np.array([sd, 1.0, 1.0])
     draws = [np.random.default_rng(seed).standard_normal((200, 3)) for seed in range(100)]
     flagged = [bool(coverage(ndtr(sizes * z), ("a", "b", "c"))[0].faults) for z in draws]
@@ -91,8 +94,9 @@ def quarters(seed):
 
 
 @pytest.mark.parametrize("damage", [slice(0, -5), slice(0, 3), slice(12, None)])
-def test_kept_fits_that_are_damaged_are_left_alone_too(tmp_path, damage):
-    """Cut short, to a part of the first word, and at the front."""
+def test_stored_fits_that_are_damaged_are_not_overwritten(tmp_path, damage):
+    """The file is cut within the data, within its first word, or at the front. It is refused and
+    not overwritten."""
     file = tmp_path / "places.npy"
     np.save(file, np.ones((2, 2)))
     file.write_bytes(file.read_bytes()[damage])
@@ -102,7 +106,7 @@ def test_kept_fits_that_are_damaged_are_left_alone_too(tmp_path, damage):
     assert file.read_bytes() == left
 
 
-def test_files_that_hold_no_fits_are_left_alone(tmp_path):
+def test_files_without_fits_are_not_overwritten(tmp_path):
     notes = tmp_path / "notes.txt"
     notes.write_text("years of work")
     with pytest.raises(InputError, match=r"notes\.txt: holds no kept fits, or"):
@@ -110,7 +114,7 @@ def test_files_that_hold_no_fits_are_left_alone(tmp_path):
     assert notes.read_text() == "years of work"
     with pytest.raises(InputError, match="is a folder"):
         simulated(quarters, 4, parameters=2, kept=tmp_path)
-    notes.write_bytes(b"")  # any name, and nothing in it yet
+    notes.write_bytes(b"")  # any name, and no content yet
     first = simulated(quarters, 2, parameters=2, kept=notes)
     np.testing.assert_array_equal(simulated(quarters, 2, parameters=2, kept=notes), first)
 
@@ -122,7 +126,7 @@ def test_files_that_hold_no_fits_are_left_alone(tmp_path):
         np.ones(4),
         np.ones((2, 2), int),
         np.ones((2, 2)),
-        np.array([[0.0, 0.0], [0.25, 0.25], [0.9, 0.9]]),  # the last is another's
+        np.array([[0.0, 0.0], [0.25, 0.25], [0.9, 0.9]]),  # the last is from another problem
     ],
 )
 def test_kept_fits_of_another_problem_are_neither_used_nor_lost(tmp_path, rows):
@@ -135,7 +139,7 @@ def test_kept_fits_of_another_problem_are_neither_used_nor_lost(tmp_path, rows):
     np.testing.assert_array_equal(np.load(file), rows)
 
 
-def test_a_check_of_which_no_fit_succeeds_says_why(tmp_path):
+def test_a_check_without_a_successful_fit_gives_the_reason(tmp_path):
     line = Problem(
         {"a": Parameter(prior=Normal(0.0, 1.0))},
         lambda a: a * jnp.ones(4),
@@ -161,7 +165,7 @@ def test_a_check_of_which_no_fit_succeeds_says_why(tmp_path):
     assert "2 of 4 fits gave no interval" in str(found)
 
 
-def test_a_check_with_fewer_fits_keeps_those_that_there_are(tmp_path):
+def test_a_check_with_fewer_fits_keeps_all_stored_ones(tmp_path):
     file = tmp_path / "places.npy"
     every = simulated(quarters, 4, parameters=2, kept=file)
     np.testing.assert_array_equal(simulated(quarters, 2, parameters=2, kept=file), every[:2])
@@ -194,7 +198,7 @@ def line():
     )
 
 
-def test_a_truth_of_what_is_not_fitted_is_refused():
+def test_a_true_value_of_a_parameter_that_is_not_fitted_is_refused():
     with pytest.raises(
         InputError, match="names slope, which the problem does not fit; it fits a, b"
     ):
@@ -209,7 +213,7 @@ def test_a_check_needs_something_to_draw_from():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["clean", "lights off by 1 %", "4 lights off by 1 %"])
-def test_intervals_of_reflectance_hold(case):
+def test_intervals_of_reflectance_cover_the_true_values(case):
     sphere = reflectance.CASES[case]
     places = simulated(lambda seed: reflectance.places(sphere, seed), 200, parameters=3)
     for one in coverage(places, reflectance.NAMES):
@@ -222,7 +226,8 @@ def sphere(vector, args):
 
 
 def test_places_are_those_of_the_printed_intervals():
-    """Laplace's on the transform's scale, Student's, draws', and those of an estimate alone."""
+    """The intervals are Laplace's on the transformed scale, Student's, from draws, and from an
+    estimate alone."""
     space = (Parameter("a"), Parameter("b", transform="log"))
     mode, own = jnp.zeros(2), np.diag([4.0, 0.25])
     found = laplace(sphere, space, mode, jnp.asarray(1.0), covariance=own)
@@ -238,8 +243,8 @@ def test_places_are_those_of_the_printed_intervals():
     np.testing.assert_allclose(places, norm.cdf((truths - 3) / 0.5), atol=3e-3)
 
 
-def test_a_simulated_stack_is_the_response_of_its_scene():
-    """Codes of two exposures of one pixel, decoded, are in the ratio of their times."""
+def test_a_simulated_stack_follows_its_response():
+    """Decoded codes of one pixel in two exposures have the ratio of the exposure times."""
     stack = replace(response.CASES["sRGB"], times=(0.5, 1.0))
     short, long = response.photographs(stack, 0) / 255
     used = (long < 0.9) & (short > 0.3)
@@ -255,8 +260,8 @@ def flagged(room, case, count):
 
 
 @pytest.mark.slow
-def test_errors_of_lights_left_out_are_flagged(monkeypatch):
-    """Independent pixels under lights that are off."""
+def test_neglected_errors_of_lights_are_flagged(monkeypatch):
+    """The pixels are treated as independent although the lights have errors."""
 
     def naive(scores, information, *rest, **known):
         whole = np.full(len(information), np.inf)
@@ -267,8 +272,9 @@ def test_errors_of_lights_left_out_are_flagged(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_factor_that_is_wrong_for_its_own_null_is_flagged(monkeypatch):
-    """m / (m - P) on a sandwich whose clusters have lost one degree of freedom each."""
+def test_a_wrong_factor_of_the_sandwich_covariance_is_flagged(monkeypatch):
+    """The factor m / (m - P) is applied to a sandwich covariance whose clusters have each lost one
+    degree of freedom."""
 
     def old(scores, information, light, *rest, **known):
         sums = np.stack([np.bincount(light, row) for row in scores])
@@ -281,9 +287,9 @@ def test_a_factor_that_is_wrong_for_its_own_null_is_flagged(monkeypatch):
 
 
 @pytest.mark.slow
-def test_laplace_of_a_scatter_is_flagged(monkeypatch):
-    """The most likely scatter of few levels is too small, and so is every error that rests on
-    it."""
+def test_laplaces_approximation_of_a_scatter_is_flagged(monkeypatch):
+    """The maximum-likelihood scatter of few levels is too small, and so are all errors that depend
+    on it."""
 
     def old(fit, sampling, seed):
         known = {"covariance": fit.inflation * fit.covariance, "seed": seed}
@@ -297,14 +303,14 @@ def test_laplace_of_a_scatter_is_flagged(monkeypatch):
 
 
 @pytest.mark.slow
-def test_intervals_under_errors_of_light_hold():
+def test_intervals_under_errors_of_light_cover_the_true_values():
     assert not flagged(noise, noise.CASES["5 levels off by 1 %"], 150)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["clean", "JPEG", "hand-held JPEG"])
-def test_bands_of_a_response_hold(case):
-    """Of 95 % intervals neither too few nor too many."""
+def test_bands_of_a_response_cover_the_true_values(case):
+    """The share of 95 % intervals that cover the true value is within its binomial range."""
     stack = response.CASES[case]
     places = simulated(lambda seed: response.places(stack, seed), 60, parameters=5)
     for one in coverage(places, response.NAMES):
@@ -313,7 +319,7 @@ def test_bands_of_a_response_hold(case):
 
 
 @pytest.mark.slow
-def test_a_dark_whose_frames_are_all_alike_is_refused():
-    """Its variance of 0 has no likelihood: errors of 1e-13 were printed for it."""
+def test_a_dark_of_identical_frames_is_refused():
+    """A variance of 0 has no likelihood. Without the check, errors of 1e-13 were printed."""
     with pytest.raises(InputError, match="frames are all alike"):
         noise.places(noise.CASES["fine read noise"], 1009)

@@ -1,5 +1,5 @@
-"""The commands as a user meets them: tables and JSON, one sentence and status 2 for bad input,
-nothing left behind."""
+"""Tests the commands as a user calls them: tables, JSON, and one sentence with status 2 for bad
+input, which leaves no files behind."""
 
 import html
 import json
@@ -26,7 +26,7 @@ run = partial(called, app)
 
 
 def one_sentence(stderr):
-    """The message of a refused command: a single line that is no traceback."""
+    """Return the message of a refused command, which must be a single line and no traceback."""
     lines = [line for line in stderr.strip().splitlines() if line.startswith("jaxvision-fit:")]
     assert len(lines) == 1, stderr
     assert "Traceback" not in stderr
@@ -34,7 +34,7 @@ def one_sentence(stderr):
 
 
 def broken_rig(folder, **sections):
-    """A copy of nothing but a rig: `[camera]` and the given TOML text."""
+    """Write a folder that contains only a rig, with `[camera]` and the given TOML text."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text("\n".join(["[camera]", "bits = 12", *sections.values()]))
     return folder
@@ -63,8 +63,8 @@ def test_a_rig_without_the_section_a_command_needs(command, section, tmp_path):
     assert section in one_sentence(stderr)
 
 
-def test_mistaken_words_say_which_to_write(tmp_path):
-    """The error of a word stands in a frame, wrapped."""
+def test_misspelt_words_say_which_to_write(tmp_path):
+    """The message names the right word. It is printed in a frame, wrapped."""
 
     def said(app, *words):
         status, _, stderr = called(app, *words)
@@ -128,7 +128,7 @@ def test_the_output_folder_that_is_a_file_is_named(lab, tmp_path):
 
 
 def rig_with(folder, target, edit):
-    """Links every image of a rig folder into `target` and writes its rig through `edit`."""
+    """Link every image of a rig folder into `target`, and write its rig through `edit`."""
     target.mkdir()
     for file in folder.iterdir():
         if file.name != "rig.toml":
@@ -192,7 +192,7 @@ def test_images_without_information_are_refused(lab, tmp_path, section, pattern,
     assert status == 2
     sentence = one_sentence(stderr)
     page = tmp_path / "out" / "report.html"
-    if page.exists():  # of a calibration that began
+    if page.exists():  # if a calibration had begun
         assert sentence.split("; ")[0].split(": ", 2)[-1][:40] in html.unescape(page.read_text())
 
 
@@ -216,8 +216,9 @@ def test_the_installed_command_shows_no_traceback(tmp_path):
 
 
 @pytest.mark.slow
-def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
-    """The report says so; what was drawn is kept, and whoever does as advised ends well."""
+def test_chains_that_are_too_short_are_refused_and_can_be_continued(lab, tmp_path):
+    """The report says that the chains are too short, the draws are kept, and following the advice
+    succeeds."""
     command = ("response", lab[0] / "response", "--mcmc", "--walkers", "16", "--out", tmp_path)
     status, _, stderr = run(*command, "--steps", "20")
     assert status == 2
@@ -227,7 +228,7 @@ def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
     (section,) = json.loads((tmp_path / "results.json").read_text())["sections"]
     assert section["estimates"] == []
     assert [*(tmp_path / "checkpoint").rglob("block-*.npz")]
-    while status == 2:  # a short chain knows its own length badly, and may ask again
+    while status == 2:  # a short chain underestimates its own length, and may ask again
         asked = int(advised[1])
         status, _, stderr = run(*command, "--steps", asked)
         advised = re.search(r"allow --steps (\d+) and run again", stderr) or advised
@@ -236,7 +237,7 @@ def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
     assert (tmp_path / "report.html").exists()
 
 
-def test_a_fit_that_fails_is_a_section_that_says_why(monkeypatch, tmp_path, lab):
+def test_a_fit_that_fails_is_a_section_with_the_reason(monkeypatch, tmp_path, lab):
     from fitting.noise import calibration
 
     def fails(measurement, **options):
@@ -253,7 +254,7 @@ def test_a_fit_that_fails_is_a_section_that_says_why(monkeypatch, tmp_path, lab)
     assert len(section["inputs"]) > 4
 
 
-def test_json_of_nothing_is_still_json():
+def test_json_without_results_is_valid():
     assert json.loads(as_json([], seed=0, settings={}))["sections"] == []
 
 
@@ -297,8 +298,9 @@ def test_a_misspelt_key_is_named(tmp_path):
     assert "camera.bitz is not a key" in one_sentence(run("noise", tmp_path)[2])
 
 
-def test_what_needs_no_computation_imports_none(tmp_path):
-    """Help, the version, and paths, rigs and images that cannot be used; all in one process."""
+def test_answers_without_computation_import_no_jax(tmp_path):
+    """Help, the version, and unusable paths, rigs and images are tried in one process, which must
+    not import JAX or NumPy."""
     images_missing = broken_rig(
         tmp_path / "missing",
         flat='[[flat]]\nfiles = ["a.tif", "b.tif"]\nexposure = 1',
@@ -363,8 +365,9 @@ def test_help_says_in_words_what_options_take(program):
         assert "SECONDS" in shown or "--seconds" not in shown
 
 
-def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
-    """As of `| head -1`: no sentence about a full disc, no traceback at the end."""
+def test_a_closed_pipe_ends_a_command_silently():
+    """The reader of the output has closed the pipe, as `| head -1` does. The command prints neither
+    a sentence about a full disk nor a traceback."""
     script = (
         "import sys\n"
         "from jaxvision.cli.command_line import command_app, failures_as_sentences\n"
@@ -394,7 +397,7 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 @pytest.mark.slow
 def test_a_command_with_closed_streams_works(tmp_path, closed):
-    """Numbers of files that a shell closed are not those of the next files."""
+    """Files that the command opens must not reuse the numbers of streams that the shell closed."""
     np.save(tmp_path / "a.npy", np.ones((4, 4, 3)))
     for words in ("-m jaxvision inspect a.npy", "-m fitting --version"):
         line = f"{shlex.quote(sys.executable)} {words} {closed}"

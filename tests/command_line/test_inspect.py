@@ -1,4 +1,4 @@
-"""The figure and the command that show an image as numbers."""
+"""Tests the figure and the command that show an image as numbers."""
 
 import json
 from functools import partial
@@ -121,7 +121,7 @@ def test_nan_stands_at_the_mean_of_the_surface():
     np.testing.assert_allclose(axis.zz_viewLim.intervalx, 5, atol=0.5)
 
 
-def test_what_the_picture_cannot_show_is_said():
+def test_limits_of_the_figure_are_named():
     def how(image):
         return next(
             axis.get_title() for axis in plots.inspect(image).axes if "picture" in axis.get_title()
@@ -145,7 +145,7 @@ def test_what_the_picture_cannot_show_is_said():
         (lambda: plots.summarise(np.array([["a"]])), "<U1"),
     ],
 )
-def test_what_cannot_be_shown_is_one_sentence(call, words):
+def test_images_that_cannot_be_shown_are_one_sentence(call, words):
     with pytest.raises(InputError, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
@@ -173,7 +173,7 @@ def test_json_holds_the_same_numbers(picture):
     assert sheet["bands"][1]["median"] == np.median(CODES[..., 1])
 
 
-def test_json_of_nothing_but_nan_is_still_json(tmp_path):
+def test_json_of_an_all_nan_image_is_valid(tmp_path):
     np.save(tmp_path / "nan.npy", np.full((2, 3), np.nan))
     status, stdout, _ = run("inspect", tmp_path / "nan.npy", "--json")
     assert status == 0

@@ -1,4 +1,5 @@
-"""An interrupt ends a command at once, with one line and status 130, and tears no file."""
+"""Tests that an interrupt ends a command at once, with one line and status 130, and leaves no
+partial file."""
 
 import random
 import signal
@@ -21,7 +22,8 @@ def ready():
 
 
 def interrupted(work, *arguments, times=1):
-    """(status, standard output, standard error) after signals to work that would take an hour."""
+    """Return (status, standard output, standard error) after sending signals to work that would
+    take an hour."""
     script = f"{HEAD}\ndef work():\n{work}\nending_on_interrupt('name', work)"
     process = subprocess.Popen(
         [sys.executable, "-c", script, *map(str, arguments)],
@@ -42,7 +44,7 @@ def interrupted(work, *arguments, times=1):
     return process.returncode, out, error
 
 
-def test_what_never_returns_to_python_ends_with_one_line():
+def test_work_that_never_returns_to_python_ends_with_one_line():
     work = "    import ctypes; ready()\n    ctypes.CDLL(None).sleep(3600)"
     status, _, error = interrupted(work)
     assert (status, error) == (130, "name: interrupted.\n")
@@ -65,7 +67,7 @@ def test_a_file_that_is_being_written_is_removed_and_the_line_says_how_to_go_on(
     assert kept.exists()
 
 
-def test_who_asks_for_the_exception_keeps_what_there_is():
+def test_code_that_asks_for_the_exception_keeps_its_results():
     work = """
     try:
         with raised_interrupts():
@@ -79,7 +81,7 @@ def test_who_asks_for_the_exception_keeps_what_there_is():
     assert (status, out) == (130, "what there is\n")
 
 
-def test_who_asks_keeps_what_there_is_however_late_the_thread_looks():
+def test_code_that_asks_keeps_its_results_however_late_the_thread_looks():
     work = """
     import threading
     from jaxvision import interrupts
@@ -99,7 +101,7 @@ def test_who_asks_keeps_what_there_is_however_late_the_thread_looks():
     assert (status, out) == (130, "what there is\n")
 
 
-def test_a_second_interrupt_ends_also_who_asked():
+def test_a_second_interrupt_ends_code_that_asked_for_the_exception():
     work = """
     with raised_interrupts():
         ready()
@@ -121,7 +123,7 @@ def test_without_an_interrupt_nothing_changes():
 
 @pytest.mark.parametrize("end", ["sys.exit(3)", "None"])
 def test_an_interrupt_after_the_work_changes_nothing(end):
-    """While Python tears itself down, which takes JAX's part of a second."""
+    """The interrupt comes while Python shuts down, which takes JAX a part of a second."""
     late = "atexit.register(lambda: signal.raise_signal(signal.SIGINT))"
     script = f"{HEAD}\nimport atexit; {late}\nending_on_interrupt('name', lambda: {end})"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
@@ -138,7 +140,8 @@ COMMANDS = {
 @pytest.mark.parametrize("module", COMMANDS)
 @pytest.mark.parametrize("moment", range(20))
 def test_a_command_ends_at_any_moment(tmp_path, module, moment):
-    """Among imports, tracing, compilation, computation and writing."""
+    """The interrupt comes at a random moment during imports, tracing, compilation, computation or
+    writing."""
     (tmp_path / "levels.csv").write_text(TABLE)
     delay = random.Random(moment).uniform(0.5, 12)
     process = subprocess.Popen(

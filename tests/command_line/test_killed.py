@@ -1,5 +1,5 @@
-"""Killed commands tear no file and go on; a full disk, a closed folder and an input that is gone
-are one sentence each, and leave what was there."""
+"""Tests that killed commands leave no partial file and can be continued, and that a full disk, a
+closed folder and a missing input give one sentence each and change no existing file."""
 
 import resource
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ from jaxvision.render_command.tiles import PartialImage, PartialSum
 @pytest.mark.parametrize(
     ("name", "moments"), [("render", 7), ("chain", 7), ("report", 6), ("taps", 3)]
 )
-def test_a_killed_command_tears_nothing_and_goes_on(tmp_path, name, moments):
+def test_a_killed_command_leaves_no_partial_file_and_continues(tmp_path, name, moments):
     job = Job(name, tmp_path / name)
     assert job.whole
     for moment in range(moments):
@@ -30,7 +30,8 @@ def test_a_killed_command_tears_nothing_and_goes_on(tmp_path, name, moments):
 
 @contextmanager
 def full_disk():
-    """No file grows beyond 1000 bytes, as on a disk that is full; the report of the tests may."""
+    """Limit files to 1000 bytes, as on a full disk. The limit does not apply after the block, so
+    test reports can be written."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
@@ -58,7 +59,7 @@ def test_a_full_disk_is_a_sentence_that_names_the_file(tmp_path):
 
 @full_disk()
 def test_a_render_on_a_full_disk_keeps_its_tiles(tmp_path):
-    """And names the file; with room again, it goes on."""
+    """The message names the file, and the render continues when there is room again."""
     key = {"scene": "ball"}
     with PartialImage(tmp_path / "a.partial", key=key, values=100, fresh=True) as tiles:
         for number in range(2):
@@ -74,7 +75,7 @@ def test_a_render_on_a_full_disk_keeps_its_tiles(tmp_path):
 
 
 @pytest.mark.parametrize("words", ["noise levels.csv --out TO", "noise GONE --out out"])
-def test_a_folder_that_cannot_be_made_and_an_input_that_is_gone(tmp_path, monkeypatch, words):
+def test_a_folder_that_cannot_be_made_and_a_missing_input(tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "levels.csv").write_text(TABLE)
     words = words.replace("TO", "levels.csv/inside").replace("GONE", "gone.csv")

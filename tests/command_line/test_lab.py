@@ -1,4 +1,4 @@
-"""The simulated afternoon against its truth, by plain NumPy on the files."""
+"""Tests the simulated afternoon against its true values, by plain NumPy on the files."""
 
 import tomllib
 
@@ -25,7 +25,7 @@ def first_flat(folder, seed):
 
 @pytest.mark.slow
 def test_the_seed_makes_the_images(tmp_path):
-    """The same again for the same seed, another pixel's noise for another."""
+    """The same seed gives the same images, and another seed gives independent noise."""
     one, again, other = (
         first_flat(tmp_path / name, seed) for name, seed in (("a", 3), ("b", 3), ("c", 4))
     )
@@ -33,7 +33,7 @@ def test_the_seed_makes_the_images(tmp_path):
     assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 5 / np.sqrt(one.size)
 
 
-def test_photon_transfer_of_the_files_gives_the_gain_that_was_set(lab):
+def test_photon_transfer_of_the_files_gives_the_simulated_gain(lab):
     folder, truth = lab
     rig = tomllib.loads((folder / "noise" / "rig.toml").read_text())
     points = []
@@ -45,7 +45,8 @@ def test_photon_transfer_of_the_files_gives_the_gain_that_was_set(lab):
         points.append((levels[0][0] - levels[1][0], levels[0][2] - levels[1][2]))
     mean, variance = np.array([p for p in points if p[0] < 0.7 * 3750]).T
     gain = mean @ variance / (mean @ mean)
-    # Each variance has a relative error of sqrt(2 / 76800); five standard errors of their mean.
+    # Each variance has a relative error of sqrt(2 / 76800), and the tolerance is five standard
+    # errors of their mean.
     np.testing.assert_allclose(gain, truth.system_gain, rtol=5 * np.sqrt(2 / 76800))
 
 

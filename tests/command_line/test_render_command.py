@@ -1,4 +1,5 @@
-"""`jaxvision render`: what is written, how it goes on after a kill, and that tiles do not show."""
+"""Tests `jaxvision render`: the files that it writes, how it continues after a kill, and that tiles
+are invisible."""
 
 import json
 import re
@@ -39,7 +40,7 @@ def head(path):
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory):
-    """The folder of a scene, of its EXR and of its preview."""
+    """Return the folder of a scene, its EXR and its preview."""
     folder = tmp_path_factory.mktemp("render")
     (folder / "ball.toml").write_text(SCENE)
     status, out, _ = run(folder / "ball.toml", "--out", folder / "ball.exr")
@@ -50,15 +51,15 @@ def rendered(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_picture_is_that_of_render(rendered):
-    """Tile by tile and through the file, as all at once."""
+def test_the_picture_in_the_file_equals_render(rendered):
+    """The picture rendered in tiles and read from the file equals the one rendered at once."""
     source = read_scene(rendered / "ball.toml")
     expected = jax.jit(render)(source.scene, source.view)
     np.testing.assert_allclose(read_image(rendered / "ball.exr"), expected, rtol=2e-6, atol=1e-7)
     assert sorted(file.name for file in rendered.iterdir()) == ["ball.exr", "ball.png", "ball.toml"]
 
 
-def test_the_head_says_what_it_is(rendered):
+def test_the_header_describes_the_picture(rendered):
     channels, attributes = head(rendered / "ball.exr")
     assert channels == ("R", "G", "B")
     assert attributes["jaxvision:unit"] == "W m^-2 sr^-1"
@@ -99,7 +100,8 @@ def test_surfaces_that_coincide_are_named(tmp_path):
 
 
 def test_the_preview_follows_its_rule(rendered):
-    """95 % of what is not black lie below .8 of white, in 8-bit sRGB (IEC 61966-2-1)."""
+    """In the preview, 95 % of the pixels that are not black are below .8 of white, in 8-bit sRGB
+    (IEC 61966-2-1)."""
     radiance = read_image(rendered / "ball.exr").astype(float)
     luminance = radiance @ [0.212639, 0.715169, 0.072192]
     linear = np.clip(radiance / (np.quantile(luminance[luminance > 0], 0.95) / 0.8), 0, 1)
@@ -121,7 +123,7 @@ def test_the_picture_does_not_depend_on_its_tiles(rendered, tmp_path, tile):
 
 
 def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
-    """Lets a render append so many tiles and then fails."""
+    """Let a render append this many tiles and then fail."""
     whole = PartialImage.append
     count = iter(range(1000))
 
@@ -134,7 +136,7 @@ def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
 
 
 @pytest.mark.slow
-def test_a_render_interrupted_before_its_first_tile_promises_nothing(tmp_path, monkeypatch):
+def test_a_render_interrupted_before_its_first_tile_offers_no_continuation(tmp_path, monkeypatch):
     stop_after(monkeypatch, 0)
     status, _, error = run("cornell_box", "--resolution", "2,2", "--out", tmp_path / "a.exr")
     assert status == 130
@@ -142,7 +144,7 @@ def test_a_render_interrupted_before_its_first_tile_promises_nothing(tmp_path, m
 
 
 @pytest.mark.slow
-def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypatch):
+def test_an_interrupted_render_says_how_to_continue_and_continues(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
@@ -168,7 +170,7 @@ def test_an_interrupted_render_says_so_and_goes_on(rendered, tmp_path, monkeypat
     assert heads[0] == heads[1]
 
 
-def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch):
+def test_a_stale_part_is_refused_until_overwriting_is_allowed(rendered, tmp_path, monkeypatch):
     command = rendered / "ball.toml", "--out", tmp_path / "a.exr"
     with monkeypatch.context() as patch:
         stop_after(patch, 1)
@@ -221,8 +223,9 @@ def test_the_picture_does_not_depend_on_its_tiles_by_any_integrator(tmp_path, in
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
-    """Light tracing is a mean of passes: interrupted after one of three, it ends bit-identical."""
+def test_passes_continue_after_an_interrupt(tmp_path, monkeypatch):
+    """Light tracing is a mean of passes. After an interrupt between passes, the final picture is
+    bit-identical."""
     (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[6, 8]") + QUAD)
     options = tmp_path / "a.toml", "--integrator", "light", "--samples", 3, "--depth", 2
     assert run(*options, "--out", tmp_path / "whole.exr")[0] == 0
@@ -244,8 +247,9 @@ def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_the_error_of_a_render_is_that_of_its_samples(rendered, tmp_path):
-    """Of single samples with other seeds; and the line says it, in the norm of `--accuracy`."""
+def test_the_stated_error_of_a_render_is_the_scatter_of_its_samples(rendered, tmp_path):
+    """The stated error equals the scatter of renders with single samples and other seeds, and the
+    printed line gives it in the norm of `--accuracy`."""
     command = rendered / "ball.toml", "--integrator", "path", "--depth", 2, "--no-preview"
     singles = []
     for seed in range(24):
@@ -285,7 +289,7 @@ def test_the_error_of_passes_is_that_of_their_pictures(tmp_path):
 
 @pytest.mark.slow
 def test_every_integrator_sees_the_same_direct_light(tmp_path):
-    """A convex ball under a point light has nothing but direct light."""
+    """A convex ball under a point light has only direct light."""
     (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[12, 16]"))
     pictures = {}
     for name in ("direct", "rays", "path", "light", "radiosity"):
@@ -305,7 +309,7 @@ def test_every_integrator_sees_the_same_direct_light(tmp_path):
 
 
 def test_a_folder_is_no_image(rendered, tmp_path):
-    """Said before anything is rendered."""
+    """The refusal comes before anything is rendered."""
     (tmp_path / "a.exr").mkdir()
     (tmp_path / "a.png").mkdir()
     for out, name in (("a.exr", "a.exr"), ("b.exr", "a.png")):
@@ -317,7 +321,8 @@ def test_a_folder_is_no_image(rendered, tmp_path):
 
 
 def test_another_integrator_has_its_own_samples_and_depth():
-    """Those of a scene are meant for its own; what the command gives counts in any case."""
+    """The samples and depth of a scene are for its own integrator. Values given to the command
+    always count."""
     own = read_scene("glass_and_mirror").render
     assert (own.integrator, own.samples, own.depth) == ("path", 128, 10)
     same = override_settings(own, {"integrator": "path", "samples": None})
@@ -369,8 +374,8 @@ ROOM += '[[light]]\nkind = "point"\nposition = [0.4, 0.5, 0.6]\nintensity = [1, 
 
 @pytest.mark.slow
 def test_the_final_gather_of_radiosity(tmp_path):
-    """It knows no tiles and follows the seed, and in the mean over the picture it finds the light
-    that is otherwise interpolated."""
+    """The final gather has no tiles and depends on the seed. Its mean over the picture includes the
+    light that is otherwise interpolated."""
     (tmp_path / "a.toml").write_text(ROOM)
     pictures = {}
     for name, options in {
@@ -394,8 +399,9 @@ def test_the_final_gather_of_radiosity(tmp_path):
 
 
 @pytest.mark.slow
-def test_light_that_grows_without_end_is_named(tmp_path):
-    """In a closed room that is white in one band; in the grey one of the test above it ends."""
+def test_light_that_grows_without_limit_is_named(tmp_path):
+    """A closed room that is white in one band has no equilibrium. The grey room of the test above
+    has one."""
     (tmp_path / "a.toml").write_text(ROOM.replace("0.5, 0.7]", "1, 0.7]", 1))
     status, _, error = run(tmp_path / "a.toml", "--out", tmp_path / "a.exr")
     assert (status, error.count("\n")) == (2, 1)
@@ -457,11 +463,12 @@ def test_mistakes_are_one_sentence(tmp_path, monkeypatch, arguments, sentence):
     assert list(tmp_path.iterdir()) == []
 
 
-# ------------------------------------------------ the file of what is done
+# ------------------------------------------------ the file of finished tiles
 
 
 def test_a_part_counts_whole_tiles_only(tmp_path):
-    """Cut anywhere, or with a byte turned, it goes on from the last tile that is whole."""
+    """If the file is cut anywhere, or a byte is changed, the render continues after the last whole
+    tile."""
     tiles = np.random.default_rng(1).normal(size=(4, 6)).astype(np.float32)
     path = tmp_path / "a.partial"
     with PartialImage(path, key=K, values=6, fresh=False) as part:
@@ -489,14 +496,14 @@ def test_a_part_counts_whole_tiles_only(tmp_path):
         assert part.done == 0
     path.write_bytes(data[:first])
     with PartialImage(path, key=other, values=6, fresh=False) as part:
-        assert part.done == 0  # nothing is lost of a file without a tile
+        assert part.done == 0  # a file without a tile contains no result to lose
     path.write_bytes(b"a line\nand another")
     with pytest.raises(InputError, match="holds something else than part of this render"):
         PartialImage(path, key=K, values=6, fresh=False)
 
 
-def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
-    """In float64, and to the last bit."""
+def test_a_sum_continues_after_its_last_whole_pass(tmp_path):
+    """The sum is continued in float64 and equals the uninterrupted one bit by bit."""
     pictures = np.random.default_rng(3).normal(size=(3, 2, 4, 3)).astype(np.float32)
     path = tmp_path / "a.partial"
     for done, picture in enumerate(pictures):
@@ -520,8 +527,9 @@ def test_a_sum_goes_on_from_its_last_whole_pass(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_damaged_sum_begins_again(tmp_path):
-    """Cut anywhere, or with any one bit turned, it gives its sum, nothing, or one sentence."""
+def test_a_damaged_sum_starts_again(tmp_path):
+    """If the file is cut anywhere, or any bit is changed, the result is its sum, nothing, or one
+    sentence."""
     path = tmp_path / "a.partial"
     PartialSum(path, key=K, shape=(1, 2, 3), fresh=False).add(np.ones((1, 2, 3)))
     data = path.read_bytes()
@@ -536,7 +544,7 @@ def test_a_damaged_sum_begins_again(tmp_path):
         path.write_bytes(content)
         try:
             part = PartialSum(path, key=K, shape=(1, 2, 3), fresh=False)
-        except InputError:  # as of another render
+        except InputError:  # as for another render
             assert content[:first] != data[:first]
             continue
         assert (part.done, part.total.sum()) == (0, 0)
@@ -556,8 +564,9 @@ def test_rows_come_out_as_tiles_went_in(tmp_path, tile, at_once):
 
 
 @pytest.mark.slow
-def test_what_the_picture_lacks_is_said_and_stands_in_its_head(tmp_path):
-    """A point lamp over a mirror, by paths, which find none of the light that it throws."""
+def test_missing_light_is_named_in_the_output_and_the_header(tmp_path):
+    """Paths cannot find the light that a mirror reflects from a point lamp. The command and the
+    header of the picture say so."""
     text = SCENE.replace("tile = 100", 'integrator = "path"\nsamples = 1')
     mirror = '[material.silver]\nfamily = "mirror"\nreflectance = [0.9, 0.9, 0.9]\n'
     plate = (
@@ -583,7 +592,7 @@ def test_too_little_time_to_choose_still_makes_a_picture(tmp_path):
 
 
 def far_balls(count):
-    """Balls beside the view, in a file's words."""
+    """Return the text of a scene's balls outside the view."""
     turns = np.linspace(0.3, 0.7, count) * 2 * np.pi
     return "".join(
         f'[[surface]]\nshape = "sphere"\ncentre = [{99 * np.sin(t):.6g}, {99 * np.cos(t) - 200:.6g}'
@@ -593,14 +602,14 @@ def far_balls(count):
 
 
 @pytest.mark.slow
-def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, monkeypatch):
+def test_negligible_objects_are_left_out_unless_all_are_requested(tmp_path, monkeypatch):
     floor = (
         '[[surface]]\nshape = "quad"\ncorner = [-2, -2, -1]\nedge_u = [4, 0, 0]\n'
         'edge_v = [0, 4, 0]\nmaterial = "grey"\n'
     )
     (tmp_path / "scene.toml").write_text(SCENE + floor + far_balls(8))
     command = tmp_path / "scene.toml", "--no-preview", "--out"
-    assert "Left out" not in run(*command, tmp_path / "less.exr")[1]  # too small to look
+    assert "Left out" not in run(*command, tmp_path / "less.exr")[1]  # a small picture
     monkeypatch.setattr(pruning, "looking_pays", lambda *_, **__: True)
     status, said, _ = run(*command, tmp_path / "less.exr")
     assert status == 0
@@ -609,14 +618,14 @@ def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, mon
     _, said, _ = run(*command, tmp_path / "all.exr", "--keep-all")
     assert "Left out" not in said
     less, whole = (read_image(tmp_path / name) for name in ("less.exr", "all.exr"))
-    np.testing.assert_allclose(less, whole, rtol=1e-6)  # to rounding: one band serves for three
+    np.testing.assert_allclose(less, whole, rtol=1e-6)  # one band serves for three
     assert "surfaces[9]" in head(tmp_path / "less.exr")[1]["jaxvision:certificate"]
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
         run(*command, tmp_path / "rest.exr")
     assert run(*command, tmp_path / "rest.exr")[0] == 0
     np.testing.assert_array_equal(less, read_image(tmp_path / "rest.exr"))
-    # paths draw their emitters at random, so nothing is left out of them
+    # path tracing chooses emitters at random, so nothing is left out there
     text = (SCENE + floor + far_balls(8)).replace("tile = 100", 'integrator = "path"\nsamples = 1')
     (tmp_path / "path.toml").write_text(text)
     _, said, _ = run(tmp_path / "path.toml", "--no-preview", "--out", tmp_path / "path.exr")
@@ -626,14 +635,15 @@ def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, mon
 
 
 @pytest.mark.slow
-def test_workers_leave_out_what_changes_nothing(tmp_path, monkeypatch):
+def test_workers_leave_out_negligible_objects(tmp_path, monkeypatch):
     monkeypatch.setattr(pruning, "looking_pays", lambda *_, **__: True)
     (tmp_path / "scene.toml").write_text(SCENE + far_balls(8))
     command = tmp_path / "scene.toml", "--no-preview", "--out"
     assert "Left out" in run(*command, tmp_path / "here.exr")[1]
     _, told, _ = run(*command, tmp_path / "there.exr", "--workers", 2)
     assert "Left out" in told
-    # the time is that of pixels: 468 of one ball take milliseconds, their program a second
+    # the time excludes compilation: 468 pixels of one ball take milliseconds, their program takes a
+    # second
     took = re.search(
         r"no standard error, (\S+) s of work on [12] workers? and (\S+) s of comp", told
     )

@@ -1,5 +1,5 @@
-"""What a reader gets: rounding by uncertainty, JSON that parses, HTML that stands alone, NetCDF
-that ArviZ opens."""
+"""Tests reports: rounding by uncertainty, JSON that parses, self-contained HTML, and NetCDF that
+ArviZ opens."""
 
 import base64
 import io
@@ -93,7 +93,7 @@ def section():
     )
 
 
-def test_sentences_are_said_where_their_conditions_hold():
+def test_sentences_are_printed_where_their_conditions_are_met():
     table = [
         Finding("bool", lambda x: np.bool_(x > 0), "Positive."),
         Finding("number", lambda x: {"x": x} if x > 1 else None, "{x:.1f} is above one."),
@@ -259,7 +259,7 @@ def test_inputs_are_listed_with_small_pictures(tmp_path):
     assert (first.kind, first.settings) == ("exposure", "exposure 0.125 s, exposure sd 0.01")
     assert first.bytes == (tmp_path / "0.tif").stat().st_size
     shown = matplotlib.image.imread(io.BytesIO(base64.b64decode(first.picture())), format="png")
-    assert shown.shape[:2] == (67, 24)  # every third pixel of 200 x 70, the last block shorter
+    assert shown.shape[:2] == (67, 24)  # every third pixel of 200 x 70; the last block is shorter
     scaled = np.clip((codes - 24.0) / (1023 - 24), 0, 1)
     np.testing.assert_allclose(
         shown[5, 7, :3], (codes[15:18, 21:24].mean() - 24) / 999, atol=1 / 255
@@ -307,7 +307,7 @@ class Links(HTMLParser):
         self.text += data
 
 
-def test_the_page_stands_alone_and_escapes(section):
+def test_the_page_is_self_contained_and_escaped(section):
     page, html = Links(), as_html([section], title="A & B")
     page.feed(html)
     assert html.count("<svg") == 2  # the picture, and the joint uncertainty of its two parameters
@@ -320,7 +320,7 @@ def test_the_page_stands_alone_and_escapes(section):
 
 
 def test_columns_of_a_wide_picture_can_be_placed_below_each_other(section):
-    """Those that are read together cannot."""
+    """A picture whose columns belong together cannot be split."""
 
     def wide():
         drawn = Figure(figsize=(8, 2), layout="constrained")
@@ -372,7 +372,8 @@ def test_files_of_a_report_and_chains_that_arviz_opens(section, tmp_path):
 
 
 def test_channels_of_unequal_chains_and_parameters_share_a_file(section, tmp_path):
-    """The last draws of the longer one, and NaN for what a channel does not have."""
+    """The file has the last draws of the longer chain, and NaN for parameters that a channel does
+    not have."""
     whole = section.posteriors[""]
     short = replace(
         whole,
@@ -411,8 +412,8 @@ def test_a_calibration_is_printed_by_its_estimates(section):
     assert all(vars(kind).get("__repr__") is None for kind in ShownInNotebooks.__subclasses__())
 
 
-def test_a_model_that_describes_nothing_heads_its_section_without_numbers(section):
-    """One sentence, before everything else, in the terminal, the page and the results."""
+def test_a_model_that_does_not_describe_the_data_has_no_numbers(section):
+    """The section begins with one sentence in the terminal, the page and the results."""
     known = replace(section, records={"sensor": lambda path: None})
     told = "Phong does not describe the images: its error is 41 % of the signal."
     found = describing_nothing(known, told, {""})
@@ -428,15 +429,16 @@ def test_a_model_that_describes_nothing_heads_its_section_without_numbers(sectio
 
 
 def test_a_notebook_prints_nothing_while_it_asks_for_text(section, monkeypatch):
-    """Rich would show each table by itself, before the cell shows the calibration."""
+    """Rich would show each table before the cell shows the calibration."""
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     monkeypatch.setattr("rich.jupyter.display", lambda *_: pytest.fail("shown"))
     assert section_text(section).startswith(section.title)
 
 
 @pytest.mark.parametrize("width", [60, 80, 110])
-def test_tables_fit_the_terminal_and_cut_no_name(width):
-    """At 80 columns a table of eight is printed in two, each beginning with the names."""
+def test_tables_fit_the_terminal_and_no_name_is_cut(width):
+    """At 80 columns, a table of eight columns is printed in two parts, each beginning with the
+    names."""
     score = ModelScore("torrance-sparrow", "green", 0.02531, 0.02411, 5, 1234.5, 45743.1, 9e4, None)
     section = Section("Reflectance", (), (), tables=(comparison_table([score] * 3, 3),))
     console = Console(file=io.StringIO(), width=width)
@@ -456,7 +458,7 @@ def test_a_word_longer_than_the_terminal_is_broken():
     table = Table("Files", ("file", "share"), (("a" * 90, 0.25),))
     console = Console(file=io.StringIO(), width=40)
     console.print(*plain_tables(table, 40))
-    assert console.file.getvalue().count("a") == 90 + 1  # and that of the head
+    assert console.file.getvalue().count("a") == 90 + 1  # and one in the header
 
 
 def test_a_section_finds_estimates_and_draws_pictures_by_name(section):
@@ -470,7 +472,7 @@ def test_a_section_finds_estimates_and_draws_pictures_by_name(section):
 
 
 def test_pictures_print_as_their_names(section):
-    """Not as the table that they draw."""
+    """The repr is the name, not the table that the picture draws."""
     assert repr(section.pictures[0]) == "Picture('ptc', 'Photon transfer')"
 
 
@@ -481,7 +483,8 @@ def test_draws_of_a_posterior_by_name(section):
 
 
 def test_a_long_tail_does_not_flatten_a_corner_plot():
-    """An axis ends three quarters of the 95 % interval beyond it, where draws reach so far."""
+    """An axis ends three quarters of the 95 % interval's width beyond the interval, if draws reach
+    that far."""
     rng = np.random.default_rng(0)
     samples = np.stack([rng.normal(2.2, 0.01, 4000), np.exp(2 * rng.standard_normal(4000))], axis=1)
     space = (Parameter("gamma", symbol="γ"), Parameter("shutter_error", symbol="τ"))
@@ -491,8 +494,9 @@ def test_a_long_tail_does_not_flatten_a_corner_plot():
     assert figure.axes[0].get_xlim() == pytest.approx(np.quantile(samples[:, 0], [0.0005, 0.9995]))
 
 
-def test_a_size_that_is_known_from_above_alone_is_drawn_in_its_unit():
-    """Beside channels' other parameters, in per cent of their medians."""
+def test_a_parameter_with_only_an_upper_bound_is_drawn_in_its_unit():
+    """The parameter is drawn in its own unit, although other channels' parameters are in per cent
+    of their medians."""
     rng = np.random.default_rng(0)
     space = (Parameter("gamma", symbol="γ"), Parameter("shutter_error", symbol="τ"))
     drawn = (rng.normal(2.2, 0.01, 4000), 1e-4 * np.exp(2 * rng.standard_normal(4000)))
@@ -501,8 +505,8 @@ def test_a_size_that_is_known_from_above_alone_is_drawn_in_its_unit():
     assert [axis.get_xlabel() for axis in figure.axes[2:]] == ["Δ$γ$\n[%]", "$τ$"]
 
 
-def test_a_long_step_without_a_terminal_says_how_far_it_is(monkeypatch, capsys):
-    """At its begin where it says so, then once in half a minute."""
+def test_a_long_step_without_a_terminal_prints_its_progress(monkeypatch, capsys):
+    """Progress is printed at the start, and then once in half a minute."""
     clock = iter([0.0, 1.0, 10.0, 45.0, 50.0, 90.0, 91.0])
     monkeypatch.setattr(progress, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     with progress.reporting() as reporter, reporter.step("fitting") as advance:

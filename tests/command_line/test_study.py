@@ -1,4 +1,5 @@
-"""Many folders: one table, outliers, drift, and a study that goes on where it was."""
+"""Tests studies of many folders: one table, outliers, drift, and continuation after an
+interrupt."""
 
 import datetime
 import json
@@ -42,7 +43,7 @@ def outcome(name, value, error=0.1, *, temperature=None, date="", channel=""):
     return Outcome(name, (estimate,), ("A finding.",), "", date, temperature)
 
 
-def test_the_table_holds_values_intervals_and_what_failed():
+def test_the_table_has_values_intervals_and_failures():
     found = table([outcome("a", 3.0), Outcome("b", failed="no flats"), outcome("c", 4.0)])
     assert found["value"].dims == ("camera", "channel", "quantity")
     one = found.sel(quantity="read noise (likelihood)", channel="")
@@ -91,7 +92,7 @@ def test_one_outlier_does_not_decide_how_the_others_differ():
     assert not one.differ
 
 
-def test_a_camera_is_unlike_in_few_words():
+def test_an_outlying_camera_is_described_in_few_words():
     one = Compared("gain", "", "DN/e-", 0.25, 0.0, False, ("c4",), (0.5,))
     several = [replace(one, quantity=f"q{i}", values=(0.5 + i / 100,)) for i in range(8)]
     said = _unlike([one, *several])["c4"]
@@ -99,7 +100,7 @@ def test_a_camera_is_unlike_in_few_words():
     assert said.endswith("; 6 more quantities, below")
 
 
-def test_drift_is_the_regression_line_where_it_is_not_chance():
+def test_drift_is_the_regression_line_if_it_is_significant():
     rng = np.random.default_rng(2)
     kelvin = 290 + np.arange(9.0)
     values = 3 + 0.2 * kelvin + 0.05 * rng.standard_normal(9)
@@ -119,7 +120,7 @@ def test_drift_is_the_regression_line_where_it_is_not_chance():
 
 @pytest.fixture
 def cameras(tmp_path, monkeypatch):
-    """Three folders, and a calibration that counts how often it is asked for."""
+    """Return three folders and a calibration that counts its calls."""
     asked = []
 
     def calibrated(path, step, draws):
@@ -138,7 +139,8 @@ def cameras(tmp_path, monkeypatch):
 
 
 def test_folders_of_the_same_images_are_one_camera(cameras):
-    """Whatever their rigs state, except for another region of the images."""
+    """The folders are the same camera, whatever else their rigs state, unless the rigs use other
+    regions of the images."""
     asked, paths, out = cameras
     for name, region in (("d", None), ("e", [0, 0, 2, 4])):
         folder = shutil.copytree(paths[0], out.parent / name)
@@ -154,7 +156,7 @@ def test_folders_of_the_same_images_are_one_camera(cameras):
 
 
 @pytest.mark.slow
-def test_a_study_goes_on_where_it_was_and_tries_again_what_failed(cameras):
+def test_a_study_continues_and_repeats_only_failures(cameras):
     asked, paths, out = cameras
     (paths[1] / "note").write_text("dark")
     seen = []
@@ -188,7 +190,7 @@ def test_a_study_goes_on_where_it_was_and_tries_again_what_failed(cameras):
     assert asked == ["c"]
 
 
-def test_other_data_than_the_study_saw_are_refused(cameras, monkeypatch):
+def test_data_other_than_those_of_the_study_are_refused(cameras, monkeypatch):
     _, paths, out = cameras
     monkeypatch.setattr("fitting.study.run.digest_of", lambda path: "seen elsewhere")
     with pytest.raises(InputError, match="this worker sees other files"):
@@ -211,7 +213,7 @@ def test_images_of_one_size_and_other_content_are_other_data(cameras):
     assert digest_of(paths[0]) == longer != seen
 
 
-def test_a_report_that_cannot_be_written_is_of_its_folder_alone(cameras):
+def test_a_report_that_cannot_be_written_fails_for_its_folder_only(cameras):
     asked, paths, out = cameras
     out.mkdir()
     (out / "b").write_text("in the way")
@@ -266,8 +268,8 @@ def test_dates_and_temperatures_come_from_the_rig(tmp_path, cameras):
 
 
 @pytest.mark.slow
-def test_simulated_cameras_come_back_and_the_odd_one_is_named(tmp_path):
-    """Six cameras of equal gain but one, whose read noise grows by .3 electrons a kelvin."""
+def test_simulated_values_are_recovered_and_the_outlying_camera_is_named(tmp_path):
+    """Five of six cameras have equal gain, and the read noise grows by .3 electrons per kelvin."""
     paths = [
         write_camera(
             tmp_path / f"cam{n}",
