@@ -7,6 +7,7 @@ from test_from_edge import NODES, noisy, places
 
 import jaxvision as jv
 from fitting import resolution
+from fitting.resolution import aberrations
 from jaxvision.errors import InputError
 
 WAVE, F_NUMBER, PITCH = 550e-9, 8.0, 4e-6
@@ -66,7 +67,7 @@ def test_the_edge_spread_is_the_integral_of_the_point_image():
     own = [[50.0, 0.2, 100.0, 2000.0, 0.0, 0.0, 0.0]]
     y, x = np.indices((20, 20)) - 9.5
     with jax.enable_x64(True):
-        predict = resolution._aberrated_edges(tuple(TRUTH), 24.0, PITCH / (WAVE * F_NUMBER))
+        predict = aberrations._aberrated_edges(tuple(TRUTH), 24.0, PITCH / (WAVE * F_NUMBER))
         inputs = {
             "wave": np.array([WAVE]),
             "f_number": F_NUMBER,
@@ -107,7 +108,7 @@ def test_what_no_lens_has_is_refused(options, words):
 )
 def test_what_edges_do_not_determine_is_refused(terms, angles, one_focus, words):
     with pytest.raises(InputError, match=words):
-        resolution._refuse_undetermined(terms, np.array(angles), one_focus)
+        aberrations._refuse_undetermined(terms, np.array(angles), one_focus)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +116,7 @@ def test_what_edges_do_not_determine_is_refused(terms, angles, one_focus, words)
     [((7, 8, 9, 10), (5.0, 65.0, 125.0), True), ((4, 5, 6, 11), (5.0, 65.0, 125.0), False)],
 )
 def test_what_edges_determine_is_taken(terms, angles, one_focus):
-    resolution._refuse_undetermined(terms, np.array(angles), one_focus)
+    aberrations._refuse_undetermined(terms, np.array(angles), one_focus)
 
 
 @pytest.mark.slow

@@ -11,7 +11,9 @@ from scipy.stats import chi2, norm
 
 import jaxvision as jv
 from fitting import resolution
-from fitting.resolution import Blur, _edge, _free_transfer, _transfer
+from fitting.resolution import Blur
+from fitting.resolution.edge import _free_transfer
+from fitting.resolution.model import edge_spread, edge_transfer
 from jaxvision.errors import InputError
 
 NODES = (np.arange(16) + 0.5) / 16 - 0.5
@@ -52,7 +54,7 @@ def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
     gaussian, disc = (blur, 0.0) if shape == "gaussian" else (1e-3, blur)
     with jax.enable_x64(True):
         at = {"angle": angle, "blur": blur}
-        found = _edge(jnp.asarray(distance), at, Blur(shape, None), 20.0)
+        found = edge_spread(jnp.asarray(distance), at, Blur(shape, None), 20.0)
     assert np.allclose(found, spread(distance, angle, gaussian, disc), atol=2e-3)
 
 
@@ -62,8 +64,8 @@ def test_transfer_is_that_of_the_line_spread(shape, blur):
     at, frequency = {"angle": 10.0, "blur": blur}, np.array([0.1, 0.3, 0.6])
     with jax.enable_x64(True):
         place = jnp.linspace(-8, 8, 3201)
-        edge = np.asarray(_edge(place, at, Blur(shape, None), 20.0))
-        found = _transfer(jnp.asarray(frequency), at, Blur(shape, None))
+        edge = np.asarray(edge_spread(place, at, Blur(shape, None), 20.0))
+        found = edge_transfer(jnp.asarray(frequency), at, Blur(shape, None))
     wave = np.cos(2 * np.pi * np.outer(frequency, np.asarray(place)))
     assert np.allclose(found, wave @ np.gradient(edge), atol=1e-4)
 
@@ -76,7 +78,7 @@ def test_diffraction_spreads_as_an_airy_pattern():
         place = (np.arange(401) - 200 + 0.5) / 5
         wanted = np.convolve(kernel.sum(0), np.full(5, 0.2), "same").cumsum()
         at = {"angle": 0.0, "blur": 0.0}
-        found = _edge(jnp.asarray(place), at, Blur("gaussian", 1.5), 100.0)
+        found = edge_spread(jnp.asarray(place), at, Blur("gaussian", 1.5), 100.0)
     assert np.abs(np.asarray(found) - wanted)[np.abs(place) < 5].max() < 4e-3
 
 
