@@ -2,7 +2,7 @@
 material.
 
 Directions in the local frame of a surface are `Vec`s. A `Place` contains the shapes that may block
-light; None stands for no such shapes.
+light. It is None if no shape blocks light.
 """
 
 import jax.numpy as jnp

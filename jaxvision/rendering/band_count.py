@@ -18,9 +18,8 @@ from ..scene import Light, Material
 def band_count(
     materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
 ) -> int:
-    """Return the number of bands of the spectra of a scene. A neutral spectrum has one band and is
-    valid for any number of bands. Raise `ValueError` if other spectra differ in their number of
-    bands."""
+    """Return the number of bands of the spectra of a scene. A neutral spectrum has one value, which
+    applies to all bands. Raise `ValueError` if other spectra differ in their number of bands."""
     reflected = [
         (type(own).__name__, _trace_reflection(own)) for own in _distinct_structures(materials)
     ]

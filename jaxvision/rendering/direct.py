@@ -57,7 +57,7 @@ from .shadows import (
     visible_in_order,
 )
 
-TOGETHER = 256  # rays that trace the lights in the same order
+TOGETHER = 256  # number of rays that trace the lights in a common order
 _LARGEST = 256  # each pixel indexes stacked arrays of at most this size
 
 
@@ -93,12 +93,13 @@ class SortedScene(eqx.Module):
     """The shapes of a scene, sorted for fast intersection with many rays; lengths in m."""
 
     shapes: Sorted  # of all surfaces
-    # the shapes that may block light; None if there are none, or a single shape that cannot
+    # the shapes that may block light; None if no shape can block light
     occluders: Sorted | None
     varied: Varied | None = None  # the surfaces with maps
-    # of all surfaces, with summed-area tables for maps; None for the scene's own materials
+    # materials of all surfaces, with summed-area tables for maps; None for the scene's own
+    # materials
     materials: tuple[Material, ...] | None = None
-    # of all surfaces, see `edges.damped`; None without moving edges
+    # cosines of all surfaces below which `edges.damped` acts; None without moving edges
     grazing: Float[Array, " n"] | None = None
 
 
@@ -370,8 +371,8 @@ def render(
 
     Derivatives with respect to radiance and materials are exact. Derivatives with respect to the
     position of a lamp, a camera or a shape neglect moving edges of shadows and outlines, unless
-    `edges` are given. For a ball on a floor under a lamp of 0.5 m, such derivatives are 30 % too
-    small. `Edges` lists the edges that it includes. The picture itself does not depend on `edges`.
+    `edges` are given. For a ball on a floor under a lamp of 0.5 m, derivatives without `edges` are
+    30 % too small. `Edges` lists the included edges. The picture itself does not depend on `edges`.
 
     Without `samples`, each `Map` is averaged over the footprint of the pixel, by an exact integral
     over a box in its coordinates. For a reflectance the result is the mean radiance. For other
@@ -397,8 +398,9 @@ def render(
             each can add there. The last lights, which together add at most the threshold to any of
             these pixels, are omitted. With a threshold of 1 % of the brightest pixel, a street of
             100 lamps and 60 houses in 256 x 256 pixels needs 5 % of the shadow rays, and a sixth of
-            the time on one core. With few lights or few shapes it saves no time. Lights under the
-            rule `Balanced` are all traced. `effects.prune` finds the threshold for a tolerance.
+            the time on one core. With few lights or few shapes, a threshold saves no time. Lights
+            under the rule `Balanced` are all traced. `effects.prune` finds the threshold for a
+            tolerance.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.

@@ -10,12 +10,12 @@ d theta,
 over the part of the curve p in the pixel. Here ds is an element of the curve; the normal n points
 from the side "behind" to the side "ahead". The curves are the outlines of shapes as seen from the
 camera or a lamp, and have closed forms. The curve p(t) is differentiated with respect to theta at
-fixed t. The discontinuity of L is measured by rays slightly to each side. An area lamp is treated
-as a sum of point lamps: each node on an outline uses another point of the lamp.
+fixed t. The discontinuity of L is measured by two rays, slightly to each side of the curve. An area
+lamp is treated as a sum of point lamps: each node on an outline uses a different point of the lamp.
 
 Source: Li, Aittala, Durand, Lehtinen, "Differentiable Monte Carlo Ray Tracing through Edge
-Sampling", ACM TOG 37(6) (2018). Unlike there, edges are sampled in proportion to their length in
-the picture.
+Sampling", ACM TOG 37(6) (2018). Unlike in that paper, edges are sampled in proportion to their
+length in the picture.
 
 Lengths are in m. Positions p in the picture are in pixels (row, column).
 """
@@ -77,18 +77,20 @@ from ..scene import (
 )
 from .pixel_loop import PixelSamples
 
-_CELLS = 64  # pieces of a curve; nodes are distributed by their lengths in the picture
+# Pieces of a curve; nodes are distributed in proportion to the pieces' lengths in the picture
+_CELLS = 64
 _PIECES = 8  # parts of the short straight stretch about a node; each adds to one pixel
 _OF_AREA = 4  # factor for the number of nodes if the lamp has a size
 _BESIDE = 1e-3  # distance from an outline to the rays that pass the shape, in sizes of the shape
-_SEEN_BESIDE = 1e-2  # distance, in pixels, from a shadow's edge to rays that find its surface
+# Distance, in pixels, from a shadow's edge to the rays that find the receiving surface
+_SEEN_BESIDE = 1e-2
 _SIDES = np.array([-1.0, 1.0])  # behind and ahead of an edge, in the direction of its normal
 _TURNS = 6  # iterations of Newton's method
 _STRAIGHT, _RING, _LIMB, _HORIZON = range(4)
 # For each type of curve, in sizes of the shape: the largest distance along a ray beside the edge
 # from the edge to the shape
 _NEAR = (1e-2, 1e-2, 0.5, np.inf)
-_NARROW = 3.0  # width of the image of a face, in pixels, that the rays of a picture resolve
+_NARROW = 3.0  # smallest width of a face's image, in pixels, that the rays of a picture resolve
 _GRID = (np.arange(4) + 0.5) / 4  # points along each side of a face that estimate its importance
 _GOLDEN = 0.6180339887498949  # step of a lattice in two dimensions
 _MORE = 4  # further samples, per sample of the picture, in the pixels with the largest errors
@@ -105,43 +107,45 @@ class Edges(Shown):
     all types. The derivative neglects the outlines of triangle meshes, lines where two surfaces
     intersect, the outlines of other lamps, and the shadow that a surface casts on itself.
 
-    The derivative inside the edges is a mean over the rays of a pixel. Few rays hit a face that is
-    seen at a grazing angle, or the rim of a sphere, where this derivative is large. Points on these
-    surfaces are therefore sampled as well. If `samples` are given, the pixels that the edges of
-    highest contrast cross receive four times as many further samples for the derivative.
+    Between the edges, the derivative is a mean over the rays of a pixel. Few rays hit a face that
+    is seen at a grazing angle, or the rim of a sphere, where the derivative is large. Points on
+    these surfaces are therefore sampled as well. If `samples` are given, the pixels that the edges
+    of highest contrast cross receive four times as many further samples for the derivative.
 
     Accuracy was measured on random scenes of a sphere, a disc, a quad and a box on a floor, each
     shape 3 to 8 pixels wide in a picture of 24 x 24 pixels with 16 samples. The directional
     derivative along random motions of the camera, of the lamp, of all shapes, and of their sizes
     was compared with central differences of pictures with at least 6144 samples, known to 0.2 %
-    (median), after projection onto 16 cosines. Under a point lamp, the two differed by 0.7 %, 0.8 %
-    and 1.3 % (quartiles of 56 motions in 14 scenes), at most 5.4 %. Under a rectangular lamp, they
-    differed by 0.4 %, 1.0 % and 1.8 % (20 motions in 4 scenes), at most 3.3 %, with differences
-    known to 0.4 %. About half of the motions were within 1 %. Without the additional points and
-    samples, the quartiles of 24 motions under a point lamp were 1.2 %, 2.6 % and 4.3 %. With
-    `samples` through a thin lens, the derivatives of the sum and of the middle of a blurred disc
-    are accurate to 1 %.
+    (median), after projection onto 16 cosines. Under a point lamp, the relative difference had the
+    quartiles 0.7 %, 0.8 % and 1.3 % (56 motions in 14 scenes), and was at most 5.4 %. Under a
+    rectangular lamp, where the central differences are known to 0.4 %, it had the quartiles 0.4 %,
+    1.0 % and 1.8 % (20 motions in 4 scenes), and was at most 3.3 %. About half of the motions were
+    within 1 %. Without the additional points and samples, the quartiles of 24 motions under a point
+    lamp were 1.2 %, 2.6 % and 4.3 %. With `samples` through a thin lens, the derivatives of the sum
+    and of the middle of a blurred disc are accurate to 1 %.
 
     The standard error of one derivative, from six or eight keys, was 0.4 %, 0.8 % and 1.1 %
     (quartiles of 24 motions in 6 such scenes under a point lamp), at most 2.2 %. With 64 samples it
-    was 0.1 %, 0.3 % and 0.4 %, at most 0.8 %. Repeat a derivative with several keys to find its
-    standard error in another scene. The mean over keys has no bias from the choice of pixels. It
-    differed from central differences in 6 other scenes by 0.6 %, 1.7 % and 2.6 % (quartiles of 24
-    motions), up to 2 % of which are due to the steps of the differences, and by at most 0.5 % if
-    only the lamp moved. The largest, 3 to 8 %, were in a scene where the camera sees a face of the
-    box edge-on (cosine 0.001), so that a step makes the face appear. From 0.35 m beside, the
-    derivative with respect to the size of the box was within 0.5 % instead of 13 %.
+    was 0.1 %, 0.3 % and 0.4 %, at most 0.8 %. To find the standard error in another scene, repeat
+    the derivative with several keys. The choice of pixels causes no bias of the mean over keys. In
+    6 other scenes, the relative difference of this mean from central differences had the quartiles
+    0.6 %, 1.7 % and 2.6 % (24 motions). The finite steps of the central differences cause up to 2 %
+    of this. If only the lamp moved, the difference was at most 0.5 %. The largest differences, 3 to
+    8 %, occurred in a scene where the camera sees a face of the box edge-on (cosine 0.001), so that
+    a step makes the face appear. With the camera moved sideways by 0.35 m, the error of the
+    derivative with respect to the size of the box was 0.5 % instead of 13 %.
 
-    The time of the edges is proportional to the side of the picture, not to its area or the number
-    of samples. For a sphere, a disc, a quad and a box on a floor in 64 x 64 pixels with 16 samples,
-    edges made a gradient 1.9 times slower under a rectangular lamp (4 x 4 points, 0.33 s on two
-    cores) and 5 times slower under a point lamp (26 ms). With one sample under a point lamp it was
-    14 times slower (18 ms). Compilation took 40 s and 66 s in place of 3 s and 7 s.
+    The time for the edges is proportional to the side length of the picture in pixels, not to its
+    area or the number of samples. For a sphere, a disc, a quad and a box on a floor in 64 x 64
+    pixels with 16 samples, a gradient with edges took 1.9 times as long under a rectangular lamp (4
+    x 4 points, 0.33 s on two cores) and 5 times as long under a point lamp (26 ms). With one sample
+    under a point lamp it took 14 times as long (18 ms). Compilation took 40 s and 66 s instead of 3
+    s and 7 s.
 
     Attributes:
-        nodes: static, rays on each side of an edge for each pixel that it crosses, >= 1, if all
-            edges together are as long as the picture's border. The total number of rays is fixed,
-            so longer edges get fewer rays per pixel.
+        nodes: static, >= 1, rays on each side of an edge for each pixel that the edge crosses, if
+            the total length of all edges equals the length of the picture's border. The total
+            number of rays is fixed, so longer edges get fewer rays per pixel.
 
     Raises:
         ValueError: for fewer than one node.
@@ -368,8 +372,8 @@ def _integral(
     """Return the derivative of a picture due to n pieces of moving curves, given as vectors
     `stretch` (n, 2). A piece adds the area that it sweeps toward its normal, times the
     discontinuity of the radiance, `jump` (n, bands). The sum is distributed over the pixels along
-    the piece, whose middle is `place` (n, 2). Also return the sum of length times discontinuity in
-    each pixel, of the band with the largest."""
+    the piece, whose middle is `place` (n, 2). Also return the contrast: the sum of length times
+    discontinuity in each pixel, for the band in which it is largest."""
     use = use & jnp.all(jnp.isfinite(jnp.concatenate([place, stretch], axis=1)), axis=1)
     swept = velocity[:, 1] * stretch[:, 0] - velocity[:, 0] * stretch[:, 1]
     shares = jnp.asarray((np.arange(_PIECES) + 0.5) / _PIECES - 0.5, place.dtype)
@@ -496,8 +500,9 @@ def _sample_edge_pixels(
 ) -> Image:
     """Return the change, by further samples, of the derivative inside the edges along `motion`.
     Further samples are drawn in the pixels with the largest `contrast` of the edges that cross
-    them. The standard errors of the first samples would not do: errors and derivatives of the same
-    samples are correlated, so that this choice would make the derivative biased."""
+    them. The pixels are not chosen by the standard errors of the first samples: errors and
+    derivatives of the same samples are correlated, so that this choice would make the derivative
+    biased."""
     height, width = contrast.shape
     _, chosen = jax.lax.top_k(contrast.ravel(), min(2 * (height + width), height * width))
     place = chosen // width, chosen % width
@@ -572,8 +577,8 @@ def _outline_integral(
             return ray, met.shape, seen(scene, ray, met, number, None), ends
 
         rays, met, radiance, ends = jax.vmap(shape_on_side)(jnp.asarray(_SIDES, dtype))
-        use = (curve.shape < 0) | jnp.any(ends)  # the shape has an edge there, in front of others
-        # an edge that two shapes share is an outline of both, so each counts half
+        use = (curve.shape < 0) | jnp.any(ends)  # this shape's edge is there, not hidden
+        # an edge that two shapes share is an outline of both, so each outline counts half
         through = jax.vmap(lambda ray, other: meets(ray, shapes, other))(rays, met[::-1])
         both = jnp.all(met >= 0) & (met[0] != met[1]) & ~jnp.any(through)
         return jnp.where(use, jnp.where(both, 0.5, 1.0), 0.0) * (radiance[0] - radiance[1])
@@ -647,7 +652,7 @@ def _face_point(face: Curves, at: Float[Array, "2"], eye: Eye, limit: Scalar) ->
     first = jnp.where(straight, s, radius * cosine) * face.first
     second = jnp.where(straight, t, radius * sine) * face.second
     toward, ends = eye.direction(face.centre), (0 * limit, limit)
-    if not eye.at_infinity:  # by the triangle of eye, centre and point
+    if not eye.at_infinity:  # from the triangle of eye, centre and point
         near = divide(or_one(face.radius), norm(eye.place - face.centre))
         ways = [safe_sqrt(1 - near**2 * (1 - end**2)) - near * end for end in ends]
         ends = [near + way * end for way, end in zip(ways, ends, strict=True)]
@@ -698,7 +703,7 @@ def _face_integral(
         faces, grid, None
     )
     lengths = safe_sqrt((removed * steep).mean(1))
-    lengths = lengths + 0.05 * lengths.mean()  # a face that hides these points may show others
+    lengths = lengths + 0.05 * lengths.mean()  # other points of a face may be visible
     chosen, _, first, share = jax.lax.stop_gradient(_place_nodes(lengths[:, None], count))
     second = jnp.asarray((np.arange(count) + 0.5) * _GOLDEN % 1, dtype)
     nodes = _row(faces, chosen), jnp.stack([first, second], 1), lens
@@ -783,7 +788,7 @@ def _shadow_integral(
     some = lattice[:4, 2:] if extended else lattice[:1, 2:]
     each = jax.vmap(jax.vmap(jax.vmap(cells, (None, None, 0)), (None, 0, None)), (0, None, None))
     lengths = each(lamps, curves, some).mean(2).reshape(-1, _CELLS)
-    if extended:  # a curve that casts no shadow from these points of the lamp may do so from others
+    if extended:  # the curve may cast a shadow from other points of the lamp
         lengths = lengths + 0.2 * lengths.mean()
     number, cell, within, share = jax.lax.stop_gradient(_place_nodes(lengths, count))
     t, step = (cell.astype(dtype) + within) / _CELLS, share / _CELLS
@@ -844,7 +849,7 @@ def _shadow_integral(
             lamp: Light, curve: Curves, t: Array, u: Array | None, met: Encounter, at: Any, own: Any
         ) -> Array:
             point = curve.centre
-            if extended:  # the point on the camera's fixed ray; the lamp keeps its uniform numbers
+            if extended:  # the camera's ray and the lamp's uniform numbers are fixed
                 point = as_array(hit_shape(view_ray(view, *at, u=u), shapes, met).point)
             eye = eye_of(lamp, point, own)
             return cast(_curve_point(curve, t, eye), eye, met, u, (shapes, view))[0]

@@ -27,17 +27,19 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
 
     A reflectance becomes the spectrum of `spectra.rgb_to_reflectance`, which has the given linear
     sRGB colour under D65. The spectrum of a light becomes the spectrum of `lamp` times that of the
-    light's colour. The new spectrum is scaled so that white light keeps its power, the sum over its
-    bands. Neutral values with one band are not changed. Other quantities that are equal in all
-    three bands, such as an index of refraction, become neutral.
+    light's colour. The new spectrum is scaled so that the power of white light, the sum over its
+    bands, is unchanged. Values with one band, which apply to all bands, are not changed. Other
+    quantities that are equal in all three bands, such as an index of refraction, become values with
+    one band.
 
     Many spectra have the same colour, and this method chooses a smooth one. Measured spectra are
     more accurate.
 
     Args:
-        scene: of three bands, red, green and blue of linear sRGB; its numbers must not be traced.
+        scene: a scene of three bands, the red, green and blue of linear sRGB. JAX must not trace
+            its numbers.
         wavelengths: (bands,) m, as `camera.sensor.photon_conversion.wavelength`.
-        lamp: name of the spectrum of white light, as for `colour_data.illuminant`.
+        lamp: name of the spectrum of white light, one of the names of `colour_data.illuminant`.
 
     Returns:
         The same scene in those bands.

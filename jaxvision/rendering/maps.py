@@ -160,7 +160,7 @@ def _neighbouring_texels(
     """Return the two texels next to a position along one axis, and the interpolation weight of the
     second. The position is the distance from the map's border, in units of the map's width."""
     x = (place - jnp.floor(place) if wrap == "repeat" else place) * count - 0.5
-    x = jnp.clip(x, -0.5, count - 0.5)  # beyond the map, "clamp" continues the border
+    x = jnp.clip(x, -0.5, count - 0.5)  # beyond the map, "clamp" extends the border
     first = jnp.floor(x)
     k = first.astype(jnp.int32)
     if wrap == "repeat":

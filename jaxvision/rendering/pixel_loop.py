@@ -3,8 +3,8 @@
 photograph(along, view, samples)
 
 `along` computes the radiance along rays; integrators differ only in this function. The value of a
-pixel depends on the random key, the pixel and the indices of its samples. The value does not depend
-on the division of the picture into blocks, or on which other pixels are computed.
+pixel depends on the random key, the pixel and the indices of its samples. It does not depend on the
+division of the picture into blocks, or on which other pixels are computed.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,8 +29,8 @@ from ..optics import view_ray
 from ..point_ops import srgb_encode
 from ..scene import ThinLens, View
 
-# Rays at once. The cores share each loop over a block, so that the loop must take much longer than
-# the start of a task.
+# Number of rays in a block. The cores share the loop over a block, so this loop must take much
+# longer than starting a task.
 BLOCK = 65536
 WHITE = 0.99  # quantile of the radiance that a notebook shows as white
 
@@ -52,10 +52,10 @@ class PixelSamples(Shown):
     """Rays spread over the square of each pixel, and over the lens of a thin-lens view.
 
     The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel. The
-    mean over these samples is unbiased, and they are stratified better than independent samples. In
-    a scene of eight spheres with shadows, seen through a pinhole, the error with 4, 16 and 64
-    samples is .61, .58 and .37 times the error of independent samples. Seen through a lens out of
-    focus, the error is .91, .65 and .71 times that of independent samples.
+    mean over these samples is unbiased, and the samples are spread more evenly than independent
+    ones. In a scene of eight spheres with shadows, seen through a pinhole, the error with 4, 16 and
+    64 samples is .61, .58 and .37 times the error of independent samples. Through a lens out of
+    focus the factors are .91, .65 and .71.
 
     Attributes:
         key: random key.
@@ -174,7 +174,7 @@ def photograph(
     number = jnp.arange(height * width) if pixels is None else pixels[0] * width + pixels[1]
 
     def place(pixel: Word) -> tuple[Scalar, Scalar]:
-        # through int32, for which CPUs have vector conversions
+        # convert via int32, for which CPUs have vector instructions
         row, column = (x.astype(jnp.int32) for x in (pixel // width, pixel % width))
         return row.astype(dtype), column.astype(dtype)
 
@@ -201,7 +201,7 @@ def photograph(
         room = max(1, entries_per_step(1) // len(pixels)) if several else 1
         return mean_of_samples(sample, samples.count, first=first_sample, room=room)
 
-    kept = keep if samples is None else None  # samples are checkpointed one by one
+    kept = keep if samples is None else None  # each sample is a checkpoint
     seen = map_blocks(block, number.astype(jnp.uint32), keep=kept)
     radiance, error = (jnp.stack(x, axis=-1) if isinstance(x, tuple) else x for x in seen)
     shape = (-1,) if pixels is not None else (height, width)

@@ -32,15 +32,15 @@ _ROUNDING = 1e-6  # relative rounding error of a length in float32
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """Return one finding for each problem of a scene, which begins with the name of the surface or
-    light.
+    """Return one finding for each problem of a scene. A finding begins with the name of the surface
+    or light.
 
     Findings cover the problems of each shape (`geometry.problems`, except positions far from the
     origin); closed meshes turned inside out; emitters without area and lights without direction; a
     scene without any light; a light, an emitter or the camera inside an opaque closed surface; and
     a point light on a surface other than a mesh, which it would not light. Objects inside glass or
     a two-sided surface are allowed, because the inside is visible there. A ray that starts in glass
-    is treated as inside it.
+    is treated as a ray inside the glass.
     """
     found = [
         f"{name}: {problem}"
@@ -258,7 +258,8 @@ def _is_inside_out(shape: Shape) -> bool:
     if not isinstance(shape, TriangleMesh):
         return False
     corners = _corners(shape)
-    # merge vertices by position: files repeat a vertex if its texture or its normal jumps there
+    # merge vertices by position, because files repeat a vertex where the texture or the normal is
+    # discontinuous
     _, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)

@@ -55,14 +55,15 @@ class Lighting(eqx.Module):
     surface may have."""
 
     lights: tuple[Light, ...]  # the sources
-    rules: tuple[Rule, ...]  # one for each light, see `lights.rules`
+    rules: tuple[Rule, ...]  # sampling rule of each light, see `lights.rules`
     point: Vector  # (3,) m
     ambient: AmbientLight | None  # light from everywhere, or None
-    place: Place | None  # the point and what may block light, or None where nothing does
+    place: Place | None  # the point and the shapes that may block light; None if no shape can
     # which samples of each light reach the point, from `shadows.visibility`; None if nothing can
     # block light
     visible: Visible | None
-    # for each light, () whether any of the rays computed together traced it; None if all were
+    # for each light, () whether any of the rays computed together traced it; None if all lights
+    # were traced
     traced: tuple[Bool[Array, ""], ...] | None = None
 
 
@@ -136,9 +137,9 @@ def lighting(
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
     occluders: Shapes | None = None,
 ) -> Lighting:
-    """Compute the light on one point of a surface, m, with its shadows. Only shadow rays whose
-    direction depends on the material are left to `reflected_radiance`, which takes the result for
-    any number of materials."""
+    """Compute the light on one point of a surface, m, with its shadows. `reflected_radiance` uses
+    the result for any number of materials, and traces only the shadow rays whose direction depends
+    on the material."""
     rules = rule_of_each(lights, rule)
     place = visible = None
     if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
@@ -226,7 +227,8 @@ def reflected_bands(
     for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
-            known = [flags for flags in passes if flags is not None]  # of all members, or of none
+            # The flags of all members, or None for all
+            known = [flags for flags in passes if flags is not None]
             flags = jnp.stack(known) if known else None
             traced = None
             if light.traced is not None:

@@ -35,10 +35,11 @@ from ..lights import (
 )
 from ..scene import Light
 
-# Its error is 1e-5 at a distance of a quarter of the side below a square light.
+# The error of this rule is 1e-5 below a square light, at a distance of a quarter of the light's
+# side.
 DEFAULT_RULE = Quadrature(8)
 
-# marks results of a search among all shapes, which are small and expensive to recompute
+# name of the results of a search among all shapes, which are small and expensive to recompute
 TRACED = "traced"
 
 Visible = tuple[Bool[Array, " _"] | None, ...]
@@ -156,14 +157,15 @@ def visible_in_order(
     group, threshold = jax.lax.stop_gradient((group, threshold))
     radiance = jax.lax.stop_gradient(jax.vmap(shown)(group))
     most = radiance.max(axis=1)
-    order = jnp.argsort(jnp.where(jnp.isnan(most), jnp.inf, most))  # the brightest light last
+    # Ascending: the brightest is last
+    order = jnp.argsort(jnp.where(jnp.isnan(most), jnp.inf, most))
 
     def add(rest: Array, number: Array) -> tuple[Array, Array]:
         rest = rest + radiance[number]
         return rest, rest.max()
 
     _, rests = scan(add, jnp.zeros_like(radiance[0]), order)
-    needed = jnp.sum(~(rests <= threshold))  # NaN is traced
+    needed = jnp.sum(~(rests <= threshold))  # NaN counts as above the threshold
 
     def trace(turn: Array, flags: Array) -> Array:
         number = order[-1 - turn]

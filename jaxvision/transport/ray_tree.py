@@ -9,8 +9,8 @@ and `light_paths` include them. Radiance is in W m^-2 sr^-1, lengths are in m.
 
 For each traced ray, the cost is one intersection, and one shadow ray for each node of each light
 (order^2 nodes for a rectangle, twice that number for an environment). Most pixels trace one ray;
-pixels that see a mirror or glass trace up to `rays`. Trees without pending rays are skipped, a
-block at a time.
+pixels that see a mirror or glass trace up to `rays`. Blocks in which no tree has pending rays are
+skipped.
 """
 
 import equinox as eqx

@@ -154,7 +154,8 @@ def around_place(
         [cell(i, j), cell(i + down, j), cell(i, j + right), cell(i + down, j + right)]
     )
     none = jnp.zeros_like(s)
-    plane = jnp.stack([1 - s - t, s, t, none])  # through three values; the fourth has weight 0
+    # Interpolation through three values; the fourth has weight 0
+    plane = jnp.stack([1 - s - t, s, t, none])
     weights = plane + jnp.where(covered[cells[3]], none, s * t) * jnp.asarray(
         [1, -1, -1, 1], s.dtype
     )

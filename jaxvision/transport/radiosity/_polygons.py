@@ -36,7 +36,8 @@ def contour_form_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     around = [corner - point for corner in corners]
     scale = 1 / largest_coordinate(around)
     around = fuse([corner * scale for corner in around])
-    # seen from the front the corners run counterclockwise, opposite to the sense of lights
+    # these corners run counterclockwise as seen from the front, and those of `contour_integral`
+    # clockwise
     area = cross(around[2] - around[0], around[3] - around[1])
     facing = -dot(area, around[0] + around[2])
     seen = contour_integral(around, normal) / jnp.pi

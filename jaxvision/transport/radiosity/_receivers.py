@@ -19,7 +19,7 @@ from ._grid import Plan, refined
 from .patches import Patches, patch_means, patches_at
 
 _PARTS = 2  # parts along each side of an element
-_LEAST = 1e-3  # fraction of an element's area, far smaller than a part
+_LEAST = 1e-3  # tolerance for rounding, as a fraction of an element's area; a part is far larger
 
 
 class Receivers(eqx.Module):
@@ -39,8 +39,8 @@ def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
     patches, elements, parts = patches_at(scene, plan, splits)
     covered = _is_covered(scene, parts, shapes)
     uncovered = 1 - mean_of_parts(covered[:, None].astype(parts.area.dtype), parts, plan)[:, 0]
-    # A mean of ones may round to less than 1. Then the element would count as partly open although
-    # no part is open.
+    # A mean of ones may round to less than 1. Without this step, an element without an open part
+    # could count as partly open.
     uncovered = jnp.where(uncovered > _LEAST, uncovered, 0)
     uncovered = jnp.where(uncovered < 1 - _LEAST, uncovered, 1)
     parts = eqx.tree_at(lambda p: p.area, parts, jnp.where(covered, 0, parts.area))
@@ -67,8 +67,8 @@ def mean_of_parts(
 
 
 def _is_covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
-    """Return whether each patch lies inside a body, which is so if the ray along its normal hits
-    the back of a surface."""
+    """Return whether each patch lies inside a body: whether the ray along its normal hits the back
+    of a surface."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def faces_inside(point: Vec, normal: Vec) -> Bool[Array, ""]:

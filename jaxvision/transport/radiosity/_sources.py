@@ -29,7 +29,7 @@ Table = Float[Array, "surfaces bands"]
 
 def diffuse_of(scene: Scene, like: Array) -> Table:
     """Return `Lambert.diffuse` of all surfaces, sr^-1, broadcast to the bands of `like`."""
-    materials = [surface.material for surface in scene.surfaces]  # `plan_patches` refuses others
+    materials = [surface.material for surface in scene.surfaces]  # all Lambertian
     return _stack([m.diffuse for m in materials if isinstance(m, Lambert)], like)
 
 
@@ -78,9 +78,8 @@ def irradiance_at(
     lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
     """Return the direct irradiance of one point, (bands,), with shadows. For a rectangular light
-    the irradiance is the exact contour integral times the visible share of the light, which the
-    sampling rule estimates. The rule therefore matters only in penumbras. Visibility has no
-    gradient."""
+    the irradiance is the exact contour integral times the visible share of the light. The sampling
+    rule estimates this share, so it matters only in penumbras. Visibility has no gradient."""
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 

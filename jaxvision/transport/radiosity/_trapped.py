@@ -7,7 +7,7 @@ from jaxtyping import Float
 from ._grid import Plan, parents_of, surfaces_of
 from .solve import CLOSED
 
-_BESIDE = 0.5  # an element whose row sum is smaller counts as outside any room
+_BESIDE = 0.5  # an element with a smaller sum of form factors counts as outside any room
 
 
 def trapping_surface(
@@ -32,7 +32,7 @@ def trapping_surface(
     count = table.shape[1]
     for band in albedo[surface].T:
         loses = band < 1 - 16 * np.finfo(band.dtype).eps
-        while True:  # an element that sees a lossy patch loses light itself
+        while True:  # an element that sees a patch with losses loses light too
             meets = (table @ loses.astype(table.dtype) > 0) & inside
             more = loses | (np.bincount(own[meets], minlength=count) > 0)
             if (more == loses).all():

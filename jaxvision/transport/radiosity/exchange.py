@@ -58,10 +58,10 @@ def form_factor_table(
         scene: the scene of the plan.
         plan: from `plan_patches`.
         rays: static, >= 1: number of shadow rays that determine how much of a patch an element
-            sees. The rays end at points spread over the patch, differently for each pair, so that a
-            patch that is split into elements uses split^2 `rays` rays for each other patch. The
-            relative error of a half-blocked factor is about 1 / sqrt(rays), and averages out over
-            patches.
+            sees. The rays end at points spread over the patch, at different points for each pair. A
+            patch with split^2 elements therefore receives light from another patch along split^2
+            `rays` rays. The relative error of a half-blocked factor is about 1 / sqrt(rays), and
+            averages out over patches.
         elements: (rows,) indices of the elements to compute, for example where devices share the
             work; None for all.
 
@@ -198,8 +198,8 @@ def _unpack(tile: Tile, like: Patches) -> Numbered:
 def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scalar:
     """Return the form factor by the far-field quadrature, or -1 if the patch is too near for it.
     The result is 0 if the element is less than `rounding`, m, in front of the patch, where the
-    contour integral is dominated by rounding errors. The value -1 replaces a separate flag, because
-    XLA may round differently for factor and flag, and a pair could then be neither near nor far."""
+    contour integral is dominated by rounding errors. The value -1 replaces a separate flag. XLA may
+    round differently for factor and flag, so with a flag a pair could be neither near nor far."""
     element, patch = receiver[0], sender[0]
     above = [dot(element.normal, corner - element.centre) > 0 for corner in patch.corners]
     front = dot(patch.normal, element.centre - patch.centre) > rounding
@@ -213,7 +213,8 @@ def _near_factor(receiver: Numbered, sender: Numbered) -> Scalar:
     return contour_form_factor(element.centre, element.normal, patch.corners)
 
 
-_TRIES = 6  # for a patch that is half below the horizon, all fail with probability 2^-6
+# For a patch that is half below the horizon, all points are below it with probability 2^-6
+_TRIES = 6
 _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 
 

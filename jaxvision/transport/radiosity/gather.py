@@ -77,11 +77,10 @@ def radiosity_along(
         ray: origin (3,) m, direction (3,) unit length.
         rule: sampling rule for extended lights without a rule of their own, see
             `direct_irradiance`.
-        gather: sampling rule for the rays that collect indirect light at the point; None
-            interpolates indirect light between the surrounding elements. With such rays, contacts
-            and creases are as sharp as the pixels allow, with noise of about 0.7 / sqrt(rays) of
-            the indirect light. For another point, `lights.rule_for` draws both `rule` and `gather`
-            anew.
+        gather: sampling rule for the rays of a final gather at the point; None interpolates
+            indirect light between the surrounding elements. A final gather makes shadows at
+            contacts and creases sharp, but adds noise of about 0.7 / sqrt(rays) of the indirect
+            light. For another point, `lights.rule_for` draws both `rule` and `gather` anew.
 
     Returns:
         (bands,) W m^-2 sr^-1.

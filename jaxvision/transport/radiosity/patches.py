@@ -200,7 +200,7 @@ def patch_means(
     Returns:
         (patches, n) in the unit of `values`; 0 for a patch without area.
     """
-    if plan.split == 1:  # leaves the rows of a sharded table on their devices
+    if plan.split == 1:  # keeps the rows of a sharded table on their devices
         return jnp.where(elements.area[:, None] > 0, values, 0)
     of_patch, count = jnp.asarray(parents_of(plan)), int(offsets_of(plan)[-1])
     weighted = jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
@@ -258,7 +258,8 @@ def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[i
 def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, Vec], Array]:
     """Return the corners of a face's cells, row by row, and the bulge of each cell."""
     dtype = jax.tree.leaves(shape)[0].dtype
-    curved = isinstance(shape, Sphere | Disc)  # cut into flat patches, which are then split
+    # The face is cut into flat patches, which are then split
+    curved = isinstance(shape, Sphere | Disc)
     once = 1 if curved else split
     u, v = (
         jnp.asarray(borders(count * once, face.graded), dtype)

@@ -28,10 +28,11 @@ PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
 Product = Callable[[PatchSpectra], PatchSpectra]
 print_by_name(globals(), "PatchSpectra", "Table")
-# In a closed room the row sums of form factors have mean 1. Quadrature and shadow rays give each
-# element an error, which the mean divides by the square root of the number of elements.
+# A room counts as closed if the mean row sum of its form factors exceeds 1 minus this number. In
+# the mean, the errors of single elements, from quadrature and shadow rays, mostly cancel.
 CLOSED = 2e-3
-_ALBEDO = Range(0, 1 + 1e-4, nan=True)  # pi k_d may round to just above 1; larger has no solution
+# pi k_d may round to just above 1; a larger albedo has no solution
+_ALBEDO = Range(0, 1 + 1e-4, nan=True)
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
@@ -70,7 +71,7 @@ def solve_radiosity(
         limit: static, largest number of shots.
 
     Returns:
-        (patches, bands) B, W m^-2. It is infinite in a band in which a closed room with light
+        (patches, bands) B, W m^-2. B is infinite in a band in which a closed room with light
         absorbs nothing, so that there is no equilibrium.
 
     Raises:
@@ -109,8 +110,8 @@ def _mark_unbounded(
     found: PatchSpectra, seen: Float[Array, "patches _"], albedo: PatchSpectra, sent: PatchSpectra
 ) -> PatchSpectra:
     """Return the solution `found`, but infinity in a band whose light is never absorbed, and 0 for
-    NaN in a band without light. `seen`: sums of form factors over what each patch sees. The
-    equations of a white closed room are singular, and rounding then gives numbers of either sign.
+    NaN in a band without light. `seen` is the sum of each patch's form factors. The equations of a
+    white closed room are singular, and rounding then gives numbers of either sign.
     """
     closed = jnp.mean(seen, axis=0) > 1 - CLOSED
     white = jnp.min(albedo, axis=0) >= 1 - 16 * jnp.finfo(albedo.dtype).eps
@@ -149,8 +150,8 @@ def _solve_by_lineax(
 def _gmres(tolerance: float) -> "lineax.GMRES":
     """Return a GMRES solver for radiosities that are scaled to a maximum of 1. The tolerance is
     absolute, because dark patches would never meet a relative tolerance. GMRES stops only at
-    restarts. With 8 steps between restarts it needs 19 to 28 products with the table, with 20 steps
-    it needs 43."""
+    restarts. It needs 19 to 28 products with the table if it restarts every 8 steps, and 43 if it
+    restarts every 20 steps."""
     import lineax
 
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
@@ -173,8 +174,8 @@ def _solve_bands(
 @takes_range(albedo=_ALBEDO)
 @one_program
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
-    """Return the radiosity B after a number of reflections, the first terms of the Neumann series,
-    which a path tracer of that depth also computes.
+    """Return the radiosity B after a number of reflections: the first terms of the Neumann series.
+    A path tracer of that depth computes the same radiosity.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
