@@ -23,7 +23,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-Options = dict[str, bool | int | str]  # of the compiler, by XLA's names
+Options = dict[str, bool | int | str]  # options of the compiler, by XLA's names
 
 _QUICKLY: Options = {
     "xla_backend_optimization_level": 0,
@@ -31,25 +31,27 @@ _QUICKLY: Options = {
 }
 _OLDER_EMITTERS: Options = {"xla_cpu_use_fusion_emitters": False}
 _HAVE_OLDER_EMITTERS = ("0.10.", "0.11.0", "0.11.1")  # versions of jaxlib
-# Vectors of 512 bits, where the processor has them, save a tenth to a fifth of the time of rays.
+# Vectors of 512 bits, if the processor has them, save a tenth to a fifth of the time for tracing
+# rays.
 _OF_RAYS: Options = {"xla_cpu_prefer_vector_width": 512}
-# What does not change from one vertex of a path to the next is then not stored for all rays: the
-# Cornell box takes two thirds of the time, other scenes the same time. Rays without loops over
-# vertices take twice to four times as long.
+# With this option, XLA does not store, for all rays, values that are equal at all vertices of a
+# path. The Cornell box then takes two thirds of the time, and other scenes as long as before.
+# Programs without a loop over vertices take twice to four times as long.
 _OF_PATHS: Options = {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
-# XLA ends the process at a flag that it does not know, so it gets none in versions not tried yet.
+# XLA ends the process at an unknown flag, so untested versions get no flags.
 _TRIED = ("0.10.", "0.11.", "0.12.")
 _MOST_BYTES = 2**29
 _OWN = ("jaxvision", "fitting")  # packages whose files `source_digest` covers
-_BESIDE = ("jax", "jaxlib", "numpy", "equinox")  # modules that a program depends on besides
+_BESIDE = ("jax", "jaxlib", "numpy", "equinox")  # other modules on which a program depends
 _WRITABLE_BY_OTHERS = 0o022
-_keeps_whole = False  # unless a command asks: a library's user may change what programs depend on
+# Only commands set it: a user of the library may change values on which programs depend
+_keeps_whole = False
 
 
 def targets_cpu() -> bool:
     """Return whether programs are now traced for a CPU. The answer follows from
     `jax.default_device` if it is set, and otherwise from the devices that JAX found."""
-    import jax  # here: what else this module does comes before JAX's first use
+    import jax  # imported here, because the rest of this module runs before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)
     return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
@@ -121,7 +123,8 @@ def keep_programs() -> None:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
-    # Another process may be writing an entry, or have been killed at it: then it is compiled.
+    # If another process is writing an entry, or was killed while writing it, the program is
+    # compiled.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
 
 
@@ -192,12 +195,14 @@ def store_whole(function: Any, about: str) -> Callable[..., Any]:
             return function(*args)
         try:
             name = _name_of_program(args, about)
-        except (AttributeError, KeyError, TypeError):  # or a JAX whose settings are elsewhere
+        # Also if another version of JAX stores its settings elsewhere
+        except (AttributeError, KeyError, TypeError):
             return function(*args)
         if name not in programs:
             kept = _read_program(folder / name, args)
             if kept is not None:
-                with suppress(Exception):  # one that this machine cannot run is compiled again
+                # A program that this machine cannot run is compiled again
+                with suppress(Exception):
                     found = jax.block_until_ready(kept(*args))
                     programs[name] = kept
                     return found
@@ -221,7 +226,7 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
         sys.version,
         source_digest(),
         _processor(),
-        str(getattr(os, "geteuid", int)()),  # a folder may be shared
+        str(getattr(os, "geteuid", int)()),  # users may share a folder
         repr(sorted(flags.items())),
         repr(sorted(settings.items())),
         about,
@@ -256,7 +261,7 @@ def _compile_to_file(path: Path, lowered: Any) -> Any:
     from jax.experimental.compilation_cache.compilation_cache import reset_cache
     from jax.experimental.serialize_executable import serialize
 
-    # XLA 0.10 writes a program that JAX's cache has read without its functions.
+    # XLA 0.10 would write the program without its functions if JAX's cache had read the program.
     before = jax.config.values["jax_enable_compilation_cache"]
     try:
         jax.config.update("jax_enable_compilation_cache", False)
@@ -265,7 +270,7 @@ def _compile_to_file(path: Path, lowered: Any) -> Any:
     finally:
         jax.config.update("jax_enable_compilation_cache", before)
         reset_cache()
-    with suppress(Exception):  # what cannot be kept is compiled again
+    with suppress(Exception):  # a program that cannot be stored is compiled again next time
         program, _, results = serialize(compiled)
         data = zlib.compress(pickle.dumps((program, results)), level=1)
         with NamedTemporaryFile(dir=path.parent, delete=False) as file:  # only its owner may write

@@ -38,8 +38,9 @@ Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
 Renderer = Callable[[Scene, View], Image]
 print_by_name(globals(), "Motion", "Renderer")
 
-DARKEST = 0.01  # photons an exposure on the brightest pixel, below which a unit was mistaken
-_OF_PATHS = 0x70617468  # apart from what a sensor draws by the same key
+DARKEST = 0.01  # photons per exposure on the brightest pixel; fewer indicate a wrong unit
+# Separates the random numbers of paths from those that a sensor draws with this key
+_OF_PATHS = 0x70617468
 
 
 class Capture(Shown):
@@ -51,11 +52,11 @@ class Capture(Shown):
         raw: (h, w, bands) DN; (h, w, 1) under a colour filter.
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
-        certificate: of the removed effects, where a tolerance was given or some change nothing;
-            static.
+        certificate: record of the removed effects, if a tolerance was given or effects were
+            removed; otherwise None; static.
         error: (h, w, bands) W m^-2 sr^-1, the standard error of the radiance, for independent
-            samples, by `Paths` of more than one sample. None for other integrators, with a motion,
-            and where the pixels' aperture is rendered more finely.
+            samples, if the integrator is `Paths` with more than one sample. None for other
+            integrators, with a motion, and if the pixel aperture is oversampled.
 
     Example:
         >>> lamp = jv.Surface(jv.Plane([0, 0, 9], [0, 0, -1]), jv.Lambert([0.0]), [4 / np.pi])
@@ -104,12 +105,11 @@ def capture(
     shadows and outlines, unless `edges` are given, as in `render`.
 
     Args:
-        key: random key for everything that changes from frame to frame; None if the sensor does not
-            need it.
+        key: random key for everything that differs between frames; None if the sensor needs no key.
         scene: in front of the camera.
         camera: view, sensor and development.
-        die_key: random key for everything that stays with this camera; None if the sensor does not
-            need it.
+        die_key: random key for the fixed pattern of this camera; None if the sensor has no fixed
+            pattern.
         rule: sampling rule of extended lights without their own, as in `render`.
         samples: rays of each pixel, whose mean is taken, as in `render`; a thin lens needs it for
             defocus.
@@ -122,10 +122,9 @@ def capture(
         tolerance: largest change of the raw values by removed effects, as in `effects.prune`, such
             as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then contain
             the kept bands only. None removes only effects that are proved to change nothing, and
-            only where the search for them takes little time: on a processor, for a large picture of
-            a scene at rest, under direct light by quadrature. Inside `jit` it removes nothing from
-            a scene that is an argument of the jitted function, because the numbers of the scene are
-            then unknown.
+            only if the search for them takes little time: on a processor, for a large picture of a
+            scene at rest, under direct light by quadrature. If the scene is an argument of a jitted
+            function, nothing is removed, because the numbers of the scene are then unknown.
         integrator: static; the method that computes radiance. None for direct light, by `render`.
             `Paths` for reflected light as well; its paths are drawn by `key`, the same for every
             moment of a motion. Or any function of scene and view, such as one that calls
@@ -273,8 +272,8 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
 
 
 def _check_unit(camera: Camera, light: Array) -> None:
-    """Warn about a wrong unit: radiance that no lens has converted to irradiance, or watts that
-    count as photons, so that the sensor gets hardly any.
+    """Warn about a wrong unit: radiance that no lens has converted to irradiance, or watts in place
+    of photons, which give the sensor hardly any photons.
     """
     sensor, view = camera.sensor, camera.view
     if sensor.photon_conversion is not None and view.f_number is None:

@@ -35,8 +35,8 @@ Responses = Float[Array, "bands channels"]
 print_by_name(globals(), "Wavelengths", "Responses")
 
 LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
-_LONGEST_RADIO = 100.0  # m; what is longer was meant in nm
-_PLANCK = Fraction("6.62607015e-34")  # J s, exact in the SI of 2019, like all of these
+_LONGEST_RADIO = 100.0  # m; longer wavelengths are probably in nm
+_PLANCK = Fraction("6.62607015e-34")  # J s; all three constants are exact in the SI of 2019
 _TWO_H_C_SQUARED = 2 * _PLANCK * 299792458**2  # W m^2
 _H_C_OVER_K = _PLANCK * 299792458 / Fraction("1.380649e-23")  # m K
 
@@ -327,7 +327,8 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         else:
             require_metres("blackbody: wavelengths", longest)
     dtype = jnp.result_type(wavelengths, temperature)
-    wide = jnp.float32 if dtype.itemsize == 2 else dtype  # half of it does not hold the constants
+    # Half precision cannot represent the constants
+    wide = jnp.float32 if dtype.itemsize == 2 else dtype
     cold, kelvin = temperature <= 0, or_one(temperature).astype(wide)
     return jnp.where(cold, 0, _planck(wavelengths.astype(wide), kelvin)).astype(dtype)
 
@@ -342,7 +343,8 @@ def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
     left, left_rest, scale, further, lost, lost_rest = decay(
         x, _lost_of_exponent(x, wavelengths, kelvin)
     )
-    scaled = 2**20 * wavelengths  # exact; its fifth power is in range, but the square of that not
+    # Exact; the fifth power is in range, but not the square of the fifth power
+    scaled = 2**20 * wavelengths
     square = scaled * scaled
     constant, constant_rest = exact(_TWO_H_C_SQUARED * 2**100, wavelengths.dtype)
     missing = constant_rest / constant + left_rest / or_one(left) - lost_rest / lost
@@ -359,10 +361,11 @@ def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
     odds, share = divide(left, lost)
     value = per_wave * odds
     missing = missing + share + difference_of_products(per_wave, odds, value, one) / or_one(value)
-    # where a number is so small that its lower half is not held, rounding is unknown
+    # if a number is so small that its lower half underflows, its rounding error is unknown
     known = (per_wave > float(jnp.finfo(x.dtype).tiny) * 2.0**48) & jnp.isfinite(missing)
     radiance = (value + jnp.where(known, value * missing, 0)) * scale * further
-    return jnp.where(left == 0, 0, radiance)  # also where the power of a short wave is infinite
+    # Even if the fifth power of a short wavelength is infinite
+    return jnp.where(left == 0, 0, radiance)
 
 
 @_planck.defjvp

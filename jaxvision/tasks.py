@@ -33,17 +33,17 @@ Shared = TypeVar("Shared")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 4  # bundles a thread that are handed out before the first result of them is used
-BUNDLE = 0.5  # s of work that a worker is handed at once, where tasks are shorter than that
+AHEAD = 4  # bundles per thread that are sent before the first result is used
+BUNDLE = 0.5  # s of work in one bundle, if tasks are shorter
 PROGRAMS = 0.5e9  # bytes that JAX and small compiled programs take in a worker
-TOO_LARGE = 3  # workers started again for want of memory while one result is awaited
+TOO_LARGE = 3  # workers restarted for lack of memory while one result is awaited
 _PATIENCE = 20.0  # s, for a scheduler to answer
-_ASKED = 5  # times, for the version of workers that are being lost
+_ASKED = 5  # times that lost workers are asked for their version
 _LONELY = 120.0  # s without any worker
 _INSTALL = f"install it with {install('cluster')}"
 
 _client: ContextVar["Client | None"] = ContextVar("client", default=None)
-_objects: dict[str, Any] = {}  # in a worker: what its tasks share, by digest; one at a time
+_objects: dict[str, Any] = {}  # in a worker: the shared data of the current tasks, by digest
 
 
 def __getattr__(name: str) -> Any:
@@ -81,7 +81,8 @@ def cluster(client: "Client") -> Iterator[None]:
     for address, answer in found.items():
         if isinstance(answer, OSError):
             raise InputError(f"worker {address} was lost before any work ({answer}); start it.")
-        if isinstance(answer, BaseException):  # what it cannot import, it cannot say in our words
+        # A worker without jaxvision cannot describe the difference
+        if isinstance(answer, BaseException):
             raise InputError(
                 f"worker {address} cannot run jaxvision {wanted['jaxvision']}: {answer}; "
                 "install the same on all machines."
@@ -213,7 +214,7 @@ def _run_on(
 def _check_room(client: "Client", needed: float) -> None:
     """Raise `InputError` if a worker has too little memory. The threads of a worker share its
     memory, and each thread works on one task."""
-    rooms: Any = client.run(_room, on_error="ignore")  # one that is lost just now starts again
+    rooms: Any = client.run(_room, on_error="ignore")  # a worker that was just lost is restarted
     for address, room in rooms.items():
         if room < needed:
             raise InputError(
@@ -253,13 +254,14 @@ def _record(kind: type, fields: Mapping[str, Any]) -> Any:
 
 
 def _await(client: "Client", future: "Future") -> Any:
-    """Return the result, unless all workers are lost or have too little memory for it."""
+    """Return the result. Raise `InputError` if all workers are lost or have too little memory for
+    it."""
     missed, before = time.monotonic(), None
     while True:
         try:
             return future.result(timeout=CHECK_SECONDS)
         except TimeoutError:
-            if future.done():  # just now, or with a TimeoutError of its own
+            if future.done():  # finished just now, or failed with a TimeoutError
                 return future.result()
         full: Any = client.get_events("worker-restart-memory")
         before = len(full) if before is None else before
@@ -315,7 +317,7 @@ class _Task:
         import cloudpickle
 
         if self.digest not in _objects:
-            difference = _difference(self.wanted)  # a worker that came later
+            difference = _difference(self.wanted)  # a worker that joined later
             if difference:
                 raise InputError(f"a worker {difference}; install the same on all machines.")
             _objects.clear()

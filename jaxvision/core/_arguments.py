@@ -1,5 +1,5 @@
-"""Convert and check the arguments of public functions. Plain numbers and lists become arrays. A
-function of one point raises `ValueError` for an array of several points. A direction must be a unit
+"""Convert and check the arguments of public functions. Plain numbers and lists become arrays. If a
+function takes one point, an array of several points raises `ValueError`. A direction must be a unit
 vector.
 
 Only concrete values are checked, not values that `jax.jit` or another transform traces. NaN is
@@ -50,13 +50,15 @@ class _Wanted(NamedTuple):
 
     # the allowed shapes, in which a word stands for any length, and a leading `...` for any axes
     shapes: tuple[tuple[int | str, ...], ...]
-    is_exact: bool  # whether to check the shape here; functions of pictures check it themselves
+    # Whether to check the shape here; functions that take pictures check their own shapes
+    is_exact: bool
     is_picture: bool  # whether it has rows and columns
     may_be_absent: bool  # whether None is allowed
     is_direction: bool  # whether its length must be 1, or 0 where there is no surface
     is_wavelength: bool  # whether it is a wavelength of light in metres
     keeps_integers: bool  # whether integers stay integers, because they may be codes
-    keeps_numbers: bool  # whether a Python number stays one, as the dtype may not represent it
+    # Whether a Python number is not converted, because the dtype may not represent it
+    keeps_numbers: bool
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
@@ -148,10 +150,11 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 class _Expected(NamedTuple):
     """The requirements on all parameters of one function."""
 
-    # in order; None for a parameter that takes no array of numbers
+    # requirements on each parameter, in order; None if it takes no array of numbers
     contents: dict[str, _Wanted | None]
-    keys: dict[str, bool]  # random keys, and whether they may be None
-    records: dict[str, tuple[tuple[type, ...], bool]]  # their types, and whether they may be None
+    keys: dict[str, bool]  # the parameters that are random keys, and whether they may be None
+    # The types of the parameters that are records, and whether these may be None
+    records: dict[str, tuple[tuple[type, ...], bool]]
     positional: int  # number of arguments that may be given by position
 
 

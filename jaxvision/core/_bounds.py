@@ -2,8 +2,8 @@
 that a lamp sends. Each type of material defines bounds on its shading.
 
 A bound is computed outside `jit` in NumPy float64. The argument of a bound is `Ends`: two copies of
-a record, with the free parameters at their smallest and at their largest values. For each field,
-the bound uses the copy for which the bound is larger.
+a record, with the free parameters at their smallest and at their largest values. For each field, a
+bound uses the copy that makes it larger.
 """
 
 from collections.abc import Callable, Iterator
@@ -148,11 +148,11 @@ class Reflection(NamedTuple):
         lobe: bounds on the specular lobe, or None.
         plain: (bands,) sr^-1, the largest difference between the diffuse part (without its share
             `grazing`) and a Lambertian BRDF of the same k_d; 0 for a Lambertian surface.
-        mirror: (bands,) or (1,), reflectance of a mirror, or None.
-        why: "", or the reason why there is no bound; then `body` is inf.
+        mirror: (bands,) or (1,), reflectance of a mirror; None for other materials.
+        why: the reason why there is no bound, in which case `body` is inf; "" if there is a bound.
         grazing: share of the diffuse part for which `body` bounds f_r cos(theta_i) instead of f_r,
             because this share does not vanish toward the horizon.
-        rough: field whose removal makes the diffuse part Lambertian, and the name of that
+        rough: the field whose removal makes the diffuse part Lambertian, and the name of this
             simplification; or None.
         facets: for a lobe with an interface, the smallest reflectance over bands and angles, and
             the lobe of facets with reflectance 1; or None.
@@ -201,7 +201,7 @@ class Source(NamedTuple):
         small: for a flat lamp both edges, (3,) m each, and a light without size at its centre that
             has the same flux.
         share: largest flux of a sky divided by 2 pi times `spectrum`, no unit.
-        why: "", or the reason why there is no bound.
+        why: the reason why there is no bound; "" if there is one.
     """
 
     spectrum: np.ndarray

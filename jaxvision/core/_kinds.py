@@ -5,8 +5,8 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
-# Contents of a file that a key may name: an image (h, w, bands) W m^-2 sr^-1, the record of a
-# measured BRDF in the bands of the scene, and the photometric data of a lamp.
+# Contents of the files that a key may name: an image (h, w, bands) W m^-2 sr^-1, the record of a
+# measured BRDF in the bands of the scene, or the photometric data of a lamp.
 Picture = Annotated[Any, "picture"]
 Measured = Annotated[Any, "measured"]
 Photometry = Annotated[Any, "photometry"]

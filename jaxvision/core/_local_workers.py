@@ -16,10 +16,10 @@ from ..errors import InputError
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
-LOSSES = 100  # a task is given up when more workers have died with it
+LOSSES = 100  # a task is abandoned after this number of workers have died during it
 CHECK_SECONDS = 5.0  # s between two checks of the workers while a result is awaited
 MEMORY = 0.9  # fraction of the machine's memory for all workers together
-STARTS = 3  # attempts to start all workers, if one dies during its start
+STARTS = 3  # number of attempts to start all workers; a worker may die during its start
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
 
 
 def _start(count: int) -> "LocalCluster":
-    """Start the workers, in up to three attempts, since one may die as it starts."""
+    """Start the workers, in up to three attempts, because a worker may die during its start."""
     from distributed import LocalCluster
 
     settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
@@ -87,7 +87,7 @@ def replace_lost(client: "Client") -> None:
     if len(there) >= wanted:
         return
     for name, nanny in list(made.workers.items()):
-        if getattr(nanny, "pid", -1) is None:  # it waits for a process that has died
+        if getattr(nanny, "pid", -1) is None:  # the task waits for a process that has died
             made.workers.pop(name, None)
             made.sync(nanny.close)
     made.scale(wanted)

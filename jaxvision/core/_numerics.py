@@ -3,10 +3,10 @@ domain.
 
 Where an operation would fail, its argument is replaced by a harmless number and its output is
 masked ("double where"). Reverse-mode differentiation then never multiplies zero by infinity.
-Compiled code may evaluate the condition twice with different rounding. Then the argument may be
-replaced although the output is not masked. The result must be right even in that case. The
-replacement is therefore a number at the edge of the domain. Alternatively, the condition for
-replacing the argument differs from the condition for masking the output by far more than rounding.
+Compiled code may evaluate the condition twice with different rounding, so the argument may be
+replaced although the output is not masked. The result must be right even then. The replacement is
+therefore a number at the edge of the domain, or the two conditions differ by far more than
+rounding.
 
 Scalar functions work elementwise. Vector functions work over the last axis of (..., 3) arrays or on
 `Vec` records. All functions keep the floating dtype.
@@ -60,9 +60,8 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
     """Return u x v in the product of their units. For nearly parallel vectors, the result is a
-    thousand times more accurate than with rounded products. Each component is split into two
-    halves, whose products are exact also in compiled code (Dekker, Numerische Mathematik 18
-    (1971))."""
+    thousand times more accurate than with rounded products. Each number is split into two halves,
+    whose products are exact even in compiled code (Dekker, Numerische Mathematik 18 (1971))."""
     a, b = as_vec(u), as_vec(v)
     return Vec(
         difference_of_products(a.y, b.z, a.z, b.y),

@@ -6,7 +6,7 @@ is a sum of two numbers, p = nearest + rest, and
 
     x^p = x^nearest (1 + rest log x)
 
-so log x is needed to one digit only. That digit comes from the bits of x, read as an integer.
+so log x is needed to one digit only. This digit is computed from the bits of x, read as an integer.
 
 XLA's exp has an error of one ULP, and its expm1 an error of five ULP. Here y is written as k ln 2 +
 r with an integer k. The functions
@@ -101,7 +101,7 @@ def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fracti
     raised, one = power(total, nearest), jnp.ones_like(x)
     value = scale * raised
     relative = nearest * (lost / jnp.where(total <= 0, 1, total)) + rest * _logarithm(total)
-    # the rounding error of the product, which counts twice if the correction crosses a power of two
+    # the rounding error of the product, twice as many ULP if the correction crosses a power of two
     cut = difference_of_products(scale * one, raised, value, one)
     missing = _finite(value) * jax.lax.stop_gradient(relative + scale_rest / scale)
     return value + (missing + jnp.where(jnp.isinf(value), 0, jax.lax.stop_gradient(cut)))
@@ -150,7 +150,8 @@ def times_exp2(value: Scalars, x: Scalars) -> Scalars:
     whole, bias, digits = _format(x)
     limited = jnp.clip(x, -3 * (bias - 1), 3 * (bias - 1))
     steps = jnp.round(limited)
-    # three steps of one sign, so that only the last product may leave the range of the dtype
+    # three factors, all above 1 or all below 1, so that only the last product may leave the range
+    # of the dtype
     first = jnp.round(steps / 3)
     second = jnp.round((steps - first) / 2)
     product = value * jnp.exp2(limited - steps)
@@ -167,9 +168,9 @@ def _times_exp2_jvp(primals, tangents):
     return product, times_exp2(change, x) + _LN_2 * product * dx
 
 
-# For numbers of 4 and 8 bytes: the integer dtype of the same size, the bias of the exponent, the
-# binary digits of the mantissa, the number of terms of the series of t, ln 2 to 15 or 32 binary
-# digits, and its remainder.
+# For float32 and float64 (by their bytes): the integer dtype of the same size, the bias of the
+# exponent, the binary digits of the mantissa, the number of terms of the series of t, ln 2 to 15 or
+# 32 binary digits, and the remainder of ln 2.
 _FORMAT = {
     4: (jnp.int32, 127, 23, 8, 22713 / 2**15, 1.4286068203094172321e-6),
     8: (jnp.int64, 1023, 52, 15, 2977044471 / 2**32, 1.9082149292705877161e-10),

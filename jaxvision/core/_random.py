@@ -3,8 +3,8 @@ use them.
 
 The seed and the three indices (pixel, sample, dimension) identify a random number. The number is a
 hash of the seed and the indices, so any pixel can be computed alone, again, or in any order, with
-the same bits. The hash costs three multiplications per number. threefry, which is designed to
-resist prediction, costs 14 times as much inside a loop over rays.
+the same bits. The hash costs three multiplications per number. JAX's threefry, which is designed to
+resist prediction, takes 14 times as long inside a loop over rays.
 """
 
 import equinox as eqx
@@ -53,7 +53,8 @@ def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Ar
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
-_LATTICE_BLOCK = 0xFFFFFFFF  # the block of the lattice's shifts, which no path uses
+# Block of random numbers for the shifts of the lattice; no path uses it
+_LATTICE_BLOCK = 0xFFFFFFFF
 
 
 def _steps(dimensions: int) -> list[np.uint32]:

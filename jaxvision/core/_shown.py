@@ -19,7 +19,7 @@ WIDE = 88  # columns of a printed record
 _SYMBOL = r"(?:W|J|m|s|K|Hz|F|eV|rad|sr|DN|e-|photons?|pixels?|rows)(?:\^-?\d+)?(?!\w)"
 # The unit after the shape, at the beginning of a field's description in a docstring.
 UNIT = re.compile(rf"(?:\([^)]*\) (?:or )?)+({_SYMBOL}(?: (?:per )?{_SYMBOL})*)")
-SHORT = 12  # numbers of an array that are printed one by one
+SHORT = 12  # largest size of an array whose numbers are all printed
 
 
 class Shown(eqx.Module):

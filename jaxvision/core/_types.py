@@ -114,7 +114,7 @@ def as_float(x: Any) -> Array:
         >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
         [1. 2.] float32
     """
-    if isinstance(x, Varying):  # `check_fields` ensures that it belongs to a material
+    if isinstance(x, Varying):  # `check_fields` ensures that a map belongs to a material
         return cast(Array, x)
     array = _as_numbers(x)
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
@@ -143,9 +143,8 @@ def _as_numbers(x: Any) -> Array:
 
 
 def _field() -> str:
-    """Return the names of record and field, with a colon, if Equinox is just converting this field;
-    otherwise "". Equinox passes only the value to a converter, so the names are read from the
-    calling stack frames."""
+    """Return "record.field: " while Equinox converts the value of this field; otherwise "". Equinox
+    passes only the value to a converter, so the names are read from the calling stack frames."""
     frame = sys._getframe(1)
     while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision.core._vector"):
         frame = frame.f_back
@@ -185,8 +184,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 def as_relative(x: Any) -> Array:
     """Convert colours or coverage to an array. A floating dtype is not changed. Raise `ValueError`
-    for complex numbers and for integer codes, because fractions of integer codes would wrap or
-    round to 0."""
+    for complex numbers and for integer codes, whose products with fractions would wrap or round to
+    0."""
     array = _as_numbers(x)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
@@ -198,8 +197,8 @@ def as_relative(x: Any) -> Array:
 
 
 def map_beside(values: Any, picture: Array) -> Any:
-    """Reshape a map from (..., h, w) to (..., h, w, 1) if it needs this to broadcast with an image
-    that has bands; return anything else unchanged."""
+    """Reshape a map from (..., h, w) to (..., h, w, 1) if this is needed to broadcast it with an
+    image that has bands; return anything else unchanged."""
     shape = np.shape(values)
     sides = zip(shape[::-1], picture.shape[::-1], strict=False)
     fits = all(a == b or 1 in (a, b) for a, b in sides)
@@ -223,8 +222,8 @@ def refuse_codes(values: Any) -> None:
 
 
 def name_above(what: str, values: Any, most: float, remedy: str) -> None:
-    """Warn if known numbers that are relative to 1 exceed it by far, as means of codes from 0 to
-    255, or per cent, do. Values beyond 65535 are no such numbers."""
+    """Warn if known numbers that should be relative to 1 are far above 1, like means of codes from
+    0 to 255, or per cent. There is no warning for values above 65535."""
     if is_known(values) and np.size(values):
         known = np.asarray(values)
         largest = float(np.max(known, initial=0, where=np.isfinite(known)))
@@ -379,8 +378,8 @@ def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
     """Raise `ValueError` unless `pattern` has rows of equal length that contain every band from 0
-    to the largest. If `bands` is given, the pattern must contain this number of bands, which is the
-    number that `holder`, named in the error message, has."""
+    to the largest. If `bands` is given, the pattern must contain this number of bands. The error
+    message says that `holder` has this number."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern
@@ -441,7 +440,8 @@ def check_range(
     if not inside.all():
         wrong = numbers[~inside].flat[0]
         least = "" if low == -np.inf else f"{'above' if above else 'at least'} {low:g}"
-        below = np.nextafter(high, np.inf)  # shown as that number, where it is a round one
+        # A limit just below a round number is printed as "below" that number
+        below = np.nextafter(high, np.inf)
         word, shown = ("below", below) if float(f"{high:g}") == below else ("at most", high)
         most = "" if high == np.inf else f"{word} {shown:g}"
         ends = " and ".join(filter(None, (least, most)))
@@ -487,7 +487,8 @@ FINITE = Range(-np.inf)
 NOT_NEGATIVE = Range(0)
 POSITIVE = Range(0, above=True)
 FRACTION = Range(0, 1)
-AMOUNT = Range(0, finite=False, nan=True)  # for light, size, roughness; NaN is seen in the picture
+# For light, size, roughness; NaN is allowed, because it is visible in the picture
+AMOUNT = Range(0, finite=False, nan=True)
 DIVISOR = Range(0, above=True, finite=False, nan=True)
 SHARE = Range(0, 1, nan=True)
 

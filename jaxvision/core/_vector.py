@@ -1,8 +1,8 @@
 """Cartesian vectors as records of three components, for inner loops.
 
-An array with a trailing axis of length 3 does not fill the vector units of a CPU. In a record under
-`vmap`, each component becomes a long array. Functions of vectors take a (..., 3) array or a `Vec`
-and return the same type. The sum or difference of an array and a `Vec` is a `Vec`.
+An array with a trailing axis of length 3 does not fill the vector units of a CPU. In a record of
+components under `vmap`, each component becomes a long array. Functions of vectors take a (..., 3)
+array or a `Vec` and return the same type. The sum or difference of an array and a `Vec` is a `Vec`.
 """
 
 from collections.abc import Iterator

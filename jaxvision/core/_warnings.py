@@ -26,8 +26,8 @@ def one_call() -> Iterator[None]:
 
 
 def warn_caller(text: str) -> None:
-    """Warn at the line of user code that called the library. The same text is issued once per call
-    from user code."""
+    """Warn at the line of user code that called the library. A text is issued once per call from
+    user code."""
     given = _of_call.get()
     if not given:
         if given is not None:

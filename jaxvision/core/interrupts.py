@@ -2,11 +2,11 @@
 
 Python raises `KeyboardInterrupt` only after XLA has finished compiling or computing, which may take
 minutes. Inside a callback from XLA the exception is lost. The exception may crash the process
-during the import of a compiled library, or while XLA's threads are working. Therefore a separate
-thread receives the signal, prints the line and ends the process. The files of a command are valid
-at every moment, so they survive such an end, and also `kill -9`. The same command can continue from
-these files. `KeyboardInterrupt` is raised only within `raised_interrupts`, with which a command
-keeps its measurements.
+during the import of a compiled library, or while XLA's threads are working. A separate thread
+therefore receives the signal, prints the line and ends the process. The files of a command are
+valid at every moment, so even `kill -9` does not damage them, and the same command can continue
+from these files. `KeyboardInterrupt` is raised only within `raised_interrupts`, so that a command
+can save its measurements.
 
 This module imports only small modules, because a command imports this module before everything
 else.
@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-MOMENT = 1.0  # s, after which a message tells that the requested exception is not yet handled
+MOMENT = 1.0  # s, after which a message says that the exception has not been handled yet
 INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
 
 
@@ -126,7 +126,7 @@ def _open_closed_streams() -> None:
 
 def _handle_interrupt(number: int, frame: FrameType | None) -> None:
     del number, frame
-    _ending.seen.set()  # the watching thread may set it only later
+    _ending.seen.set()  # the watching thread may set this flag too late
     if _ending.raised.is_set():
         _ending.thrown.set()
         raise KeyboardInterrupt

@@ -83,8 +83,8 @@ def _homes(package: str, folder: Path) -> dict[str, str]:
 
 
 def _is_offered(folder: Path, inner: tuple[str, ...]) -> bool:
-    """Return whether the stub of each package below the first lists the next part of a module's
-    path."""
+    """Return whether every part of a module's path, after the first, is listed in the stub of the
+    package that contains it."""
     stubs = (folder.joinpath(*inner[:i], "__init__.pyi") for i in range(1, len(inner)))
     return all(
         stub.exists() and re.search(rf"\bas {re.escape(part)}\b", stub.read_text())

@@ -13,10 +13,10 @@ _MAX_INT = 2**31 - 1
 def keep_memory() -> bool:
     """Keep freed memory of this process for the next large arrays.
 
-    A blur of 2048 x 2048 x 3 pixels then takes a third of the time, and demosaicing of that size a
-    quarter. The process holds its peak memory until it ends. The shell commands call this function;
-    a script calls it once, before its first large array. This function works on Linux with glibc,
-    and has no effect elsewhere.
+    After this call, a blur of 2048 x 2048 x 3 pixels takes a third of the time, and demosaicing of
+    that size a quarter. The process holds its peak memory until it ends. The shell commands call
+    this function; a script calls it once, before its first large array. This function works on
+    Linux with glibc, and has no effect elsewhere.
 
     Returns:
         Whether memory is kept.

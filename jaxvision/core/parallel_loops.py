@@ -2,10 +2,11 @@
 the arguments and the results of the functions of `jax.lax`.
 
 XLA compiles a loop that touches less than a kilobyte into a function for one core, because starting
-several threads takes longer than such a loop. jaxlib 0.12 does so with every loop, whatever its
-arrays: the Cornell box takes 1.6 times the processor time, on one core instead of all. It leaves
-out loops that sort, because a function for one core cannot sort. So each step sorts two equal
-numbers, which takes less than a microsecond, and keeps its values if they are still equal.
+several threads takes longer than such a loop. jaxlib 0.12 compiles every loop in this way, whatever
+the size of its arrays: the Cornell box then takes 1.6 times the processor time, on one core instead
+of all. The exception are loops that sort, because a function for one core cannot sort. Each step
+therefore sorts two equal numbers, which takes less than a microsecond, and keeps its values if the
+two are still equal.
 """
 
 from collections.abc import Callable
@@ -89,8 +90,8 @@ def _is_needed() -> bool:
 
 
 def _attach_sort(number: Array, values: Any) -> Any:
-    """Return the values, of which one array is kept only if two equal numbers are equal after
-    sorting. XLA does not know that they are."""
+    """Return the values. One array is replaced by 0 if two equal numbers differ after sorting,
+    which never occurs, but XLA does not know this."""
     leaves, tree = jax.tree.flatten(values)
     arrays = [i for i, leaf in enumerate(leaves) if _is_numeric(leaf)]
     if arrays:

@@ -33,7 +33,7 @@ _CARRIED = {
     "tensorflow": ("a device and gradients", ".numpy()"),
 }
 
-# contents that are not numbers, by the kind of a dtype
+# names of contents that are not numbers, by the kind of the dtype
 _NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
 _WIDEST = {"f": np.float64, "c": np.complex128}  # widest dtype in JAX, by the kind of a dtype
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 def progress_bar(
     title: str, *, shown: bool = True, transient: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error if that is a terminal. Yield a function that updates
-    the bar, given the number of finished parts and the number of all parts. If `transient`, the bar
+    """Show a progress bar on standard error if that is a terminal. Yield a function of the number
+    of finished parts and the number of all parts, which updates the bar. If `transient`, the bar
     vanishes at the end."""
     if not (shown and sys.stderr.isatty()):
         yield lambda done, total: None

@@ -27,7 +27,7 @@ def keep_context(work: Callable[[], T]) -> Callable[[], T]:
     context, double = contextvars.copy_context(), _double()
 
     def run_in_context() -> T:
-        # JAX's settings belong to a thread. A context that changes nothing would still recompile.
+        # JAX's settings belong to a thread. Setting the same precision again would still recompile.
         with nullcontext() if _double() == double else jax.enable_x64(double):
             return context.run(work)
 

@@ -11,7 +11,7 @@ from .._types import Colour, Scalar
 
 Bands = tuple[Scalar, ...]
 
-MAX_NUMBERS = 8  # arrays of at most so many numbers are split; for more, the code would only grow
+MAX_NUMBERS = 8  # larger arrays are not split, because the code would only grow
 
 
 def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:

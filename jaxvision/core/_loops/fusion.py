@@ -1,7 +1,7 @@
 """Control XLA fusion: which values are computed in one loop and which are materialised. This
-control makes programs faster. A value that is materialised is also computed only once. Otherwise
-compiled code may compute a sum twice, with different rounding, and the two results may lead to
-different decisions, for example on which of two ray intersections is nearer.
+control makes programs faster. It also ensures that a materialised value is computed only once.
+Otherwise compiled code may compute a sum twice with different rounding, and then, for example,
+decide differently which of two ray intersections is nearer.
 
 On a CPU, undocumented parts of JAX make programs faster. Only the module `primitives` uses these
 parts. With public JAX alone, the programs give the same values and derivatives up to rounding, but
@@ -43,16 +43,17 @@ def _load_primitives() -> Any:
 _primitives = _load_primitives()
 PLAIN = _primitives is None
 
-# Rays at once: an array of them is 64 kB in float32, and all arrays of a tile fit into the cache.
+# Number of rays in a tile: one number per ray takes 64 kB in float32, so all arrays of a tile fit
+# into the cache.
 TILE = 16384
 
-# Rays at once on an accelerator. Each operation costs the start of a kernel, some 10 us, also for
-# fewer rays. The paths of so many rays need a gigabyte.
+# Number of rays in a tile on an accelerator. Each operation starts a kernel, which takes some 10 us
+# for any number of rays. The paths of this number of rays need a gigabyte.
 _KERNEL_FACTOR = 2**20
 
-# Blocks are multiples of this number of rays, which is several widths of vector code. A remainder
-# would be computed by scalar code, and the last bit of a ray would depend on the division of the
-# picture.
+# Blocks are multiples of this number of rays, which is several widths of vector code. Remaining
+# rays would be computed by scalar code, and the last bit of a result would depend on the division
+# of the picture.
 LANES = 64
 
 
@@ -62,7 +63,8 @@ def _helps() -> bool:
 
 
 def entries_per_step(of_core: int) -> int:
-    """Return the rays or entries of one step of a loop: `of_core`, or 2^20 on an accelerator."""
+    """Return the number of rays or entries in one step of a loop: `of_core` on a CPU, 2^20 on an
+    accelerator."""
     return of_core if targets_cpu() else max(of_core, _KERNEL_FACTOR)
 
 

@@ -15,7 +15,7 @@ from ..parallel_loops import scan
 
 Tree = TypeVar("Tree")
 
-UNROLLED = 8  # up to so many records are unrolled; more are done by a loop
+UNROLLED = 8  # loops over more records are not unrolled
 
 
 def group_by_structure(
@@ -68,7 +68,8 @@ def call_member(
     index: Int[Array, ""],
     function: Callable[[Any], Tree],
 ) -> Tree | None:
-    """Apply `function` to record `index` of several stacked groups, None without groups."""
+    """Apply `function` to record `index` of several stacked groups. Return None if there are no
+    groups."""
     chosen = None
     for numbers, group in zip(members, groups, strict=True):
         record, among = take(numbers, group, index)
@@ -85,7 +86,7 @@ def fold(step: Callable[[Tree, Record], Tree], start: Tree, records: Sequence[Re
         return reduce(step, records, start)
     result = start
     for members, group in group_by_structure(records):
-        result = step(result, records[members[0]])  # of the shape of all later results
+        result = step(result, records[members[0]])  # has the shape of all later results
         rest = jax.tree.map(lambda leaf: leaf[1:], group)
         result, _ = scan(lambda so_far, one: (step(so_far, one), None), result, rest)
     return result

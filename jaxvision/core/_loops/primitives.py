@@ -20,7 +20,7 @@ Loops = Callable[..., Sequence[Array]]
 # for each `vmap`, innermost first: the size of the batch, and the batch axis of each value
 Layers = tuple[tuple[int, tuple[int | None, ...]], ...]
 
-# Names that are used only later: an unsuitable JAX fails here, on import.
+# These names are used only later. They are read here, so that an unsuitable JAX fails on import.
 _NEEDED = ad.Zero, ad.defbilinear, ad.primitive_transposes.get
 
 
