@@ -19,13 +19,14 @@ from ._components import (
 )
 
 _BREAK = 6 / 29
-# medians of Y, in units of the white, that per cent beside 1 have
+# range of the median of Y / Y_white that indicates Y in per cent and a white of 1
 _BRIGHTEST, _LARGEST = 4.0, 200.0
-_DARKEST, _COLOURS, _PER_CENT = 0.012, 16, 50.0  # largest share, of at least 16 colours
+# The largest Y / Y_white of at least 16 colours below which the white is in per cent
+_DARKEST, _COLOURS, _PER_CENT = 0.012, 16, 50.0
 
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
-    """Return the CIE's compressive function f(t), minus 4/29, as two numbers to be added. f is the
+    """Return the CIE's compressive function f(t), minus 4/29, as the sum of two numbers. f is the
     cube root above (6/29)^3 and its tangent line t / (3 (6/29)^2) + 4/29 below (CIE 15:2018,
     8.2.1.1). The caller adds the constants last, so that dark colours and small differences keep
     their precision.
@@ -42,8 +43,8 @@ def _inverse_lightness(above: Scalars) -> Scalars:
 
 
 def _check_scale(y: Scalars, white: Float[Array, "3"]) -> None:
-    """Warn about known Y of another scale than the white's: up to 100 beside a white of Y = 1, or
-    up to 1 beside a white of Y = 100."""
+    """Warn about known Y whose scale differs from that of the white: Y up to 100 with a white of Y
+    = 1, or Y up to 1 with a white of Y = 100."""
     if not (is_known(y) and is_known(white)) or not y.size or not white[1] > 0:
         return
     shares = np.asarray(y, float) / float(white[1])

@@ -5,9 +5,9 @@ imports that library, which takes about two seconds. The usual RGB spaces, adapt
 and white points are defined here and do not import it. Wavelengths are in m everywhere;
 `nanometres` converts. colour-science interpolates smooth tables (Sprague's quintic on an even grid,
 a cubic spline elsewhere). Outside the wavelengths of its table, an observer or a sensitivity is 0,
-and a reflectance keeps its end value. An illuminant raises an error there, unless the CIE gives a
-formula for it: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name raises
-an `InputError` that lists the known ones.
+and a reflectance keeps its end value. Outside its table, an illuminant raises an error, unless the
+CIE gives a formula: for "A" at every wavelength, for daylight from 300 to 830 nm. An unknown name
+raises an `InputError` that lists the known ones.
 """
 
 from collections.abc import Mapping
@@ -75,13 +75,13 @@ def nanometres(values: Any) -> Float[Array, "..."]:
     return as_float(np.asarray(values, np.float64) * 1e-9)
 
 
-MOST_BANDS = 100_000  # wavelengths of a grid: picometres of the visible range
+MOST_BANDS = 100_000  # largest number of wavelengths of a grid
 
 
 def wavelength_grid(
     *, first: float = 380e-9, last: float = 780e-9, step: float = 5e-9
 ) -> Float[Array, " bands"]:
-    """Evenly spaced wavelengths.
+    """Return evenly spaced wavelengths.
 
     Args:
         first: m.
@@ -138,7 +138,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
     import colour
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
-    name = table.name  # in upper case, independent of the requested name
+    name = table.name  # upper case, whatever the case of the requested name
     wanted, power = _nanometres(wavelengths), _sample_table(table, wavelengths)
     beyond = (wanted < table.shape.start) | (wanted > table.shape.end)
     if name == "E" or not beyond.any():

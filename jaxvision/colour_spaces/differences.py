@@ -53,7 +53,7 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
         2.0425
     """
     dtype = jnp.result_type(lab, other)
-    if dtype in (jnp.float16, jnp.bfloat16):  # too small for products of a and b
+    if dtype in (jnp.float16, jnp.bfloat16):  # half precision is too small for products of a and b
         wide = delta_e_2000(jnp.asarray(lab, jnp.float32), jnp.asarray(other, jnp.float32))
         return wide.astype(dtype)
     l1, a1, b1 = parts(lab)

@@ -117,12 +117,12 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
 
 
 def _trapezium(rising: Scalars, falling: Scalars, floor: int) -> Scalars:
-    """max(floor, min(rising, falling, 1))"""
+    """Return max(floor, min(rising, falling, 1))."""
     return jnp.maximum(jnp.minimum(jnp.minimum(rising, falling), 1), floor)
 
 
 def _ends(r: Scalars, g: Scalars, b: Scalars) -> tuple[Scalars, Scalars]:
-    """(smallest, largest component)."""
+    """Return the smallest and the largest component."""
     return jnp.minimum(jnp.minimum(r, g), b), jnp.maximum(jnp.maximum(r, g), b)
 
 

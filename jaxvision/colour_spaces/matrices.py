@@ -78,7 +78,7 @@ def xyz_to_rgb(xyz: Colours, *, space: str = "sRGB") -> Colours:
 
 @takes_numbers
 def luminance(rgb: Colours, *, space: str = "sRGB") -> Scalars:
-    """Y of linear RGB.
+    """Return the luminance Y of linear RGB.
 
     Args:
         rgb: (..., 3) linear, relative.
@@ -103,7 +103,7 @@ def adapt(
     *,
     method: str = "Bradford",
 ) -> Colours:
-    """Adapt colours to another white, under which they look the same.
+    """Adapt colours to another white: return the colours that look the same under that white.
 
     The adaptation scales the responses of the cones (von Kries' law).
 

@@ -70,7 +70,7 @@ def _ycbcr(standard: str, levels: str, bits: int) -> tuple[np.ndarray, np.ndarra
     red, _, blue = np.eye(3)
     of_blue, of_red = 2 - 2 * luma[2], 2 - 2 * luma[0]
     matrix = np.stack([luma, (blue - luma) / of_blue, (red - luma) / of_red])
-    # solved by hand: a solver's rounding error in place of a 0 would dominate a dark primary
+    # in closed form: the rounding error of a solver, in place of a 0, would dominate a dark primary
     green = -np.array([of_blue * luma[2], of_red * luma[0]]) / luma[1]
     inverse = np.array([[1, 0, of_red], [1, *green], [1, of_blue, 0]])
     if levels == "full":

@@ -42,14 +42,14 @@ def fit_colour_matrix(
     white: tuple[Float[Array, "3"], Float[Array, "3"]] | None = None,
     weights: Float[Array, " patches"] | None = None,
 ) -> Float[Array, "3 3"]:
-    """The matrix M that minimises the sum of weights |M camera - wanted|^2.
+    """Return the matrix M that minimises the sum of weights |M camera - wanted|^2.
 
     Args:
         camera: (patches, 3) relative, at least three patches, or two with `white`; they must span
             three dimensions.
         wanted: (patches, 3) relative.
         white: a camera colour (3,), not black, and the colour (3,) to which it must map exactly;
-            None for no such constraint. The colours must then span two dimensions beside it.
+            None for no such constraint. The colours must then span two dimensions besides `white`.
         weights: (patches,) no unit, at least 0; None for equal weights.
 
     Returns:
@@ -86,7 +86,8 @@ def fit_colour_matrix(
         return _least_squares(camera, wanted).T
     seen, sought = white
     check_direction("fit_colour_matrix: the camera's white", seen)
-    # every M with M seen = sought is this one plus Z times the two directions across `seen`
+    # every M with M seen = sought is `through` plus Z times the two directions perpendicular to
+    # `seen`
     through = jnp.outer(sought, seen) / jnp.vdot(seen, seen)
     across = _perpendicular_pair(seen)
     beside = jnp.concatenate([camera, _size(camera) / _size(seen) * seen[None]])

@@ -67,7 +67,7 @@ def demosaic(
     """
     check_choice("method", method, DEMOSAICINGS)
     pattern = as_pattern(pattern)
-    # a last axis of one or three is the bands, because a mosaic is wider
+    # a last axis of length one or three contains bands, because a mosaic is wider
     if raw.ndim > 2 and raw.shape[-1] == 1:
         raw = raw[..., 0]
     elif raw.ndim > 2 and raw.shape[-1] == 3:
@@ -204,9 +204,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
             return _choose_direction(lead, near(difference, 1), near(difference, 0))
 
         def differences_at_green(from_green: Plane) -> tuple[Plane, Plane]:
-            """Interpolate both other bands minus green at the green pixels, from their
-            neighbours.
-            """
+            """Interpolate the differences of the other two bands from green at the green pixels."""
             rows, columns = _mean_of_two(from_green, 1), _mean_of_two(from_green, 0)
             return jnp.where(first_rows, rows, columns), jnp.where(first_rows, columns, rows)
 
@@ -351,8 +349,9 @@ def _select_bands(
 
 
 def _join(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
-    """Return the planes in the order of the bands along a last axis. Selecting by band number
-    vectorises, whereas stacking along a last axis of three would copy each number.
+    """Return the planes along a last axis, in the order of the bands. Selection by band number uses
+    vector instructions, whereas stacking along a last axis of three would copy each number
+    separately.
     """
     planes = dict(zip(layout[:3], (green, first, second), strict=True))
     shape = (*green.shape, 3)
@@ -426,8 +425,8 @@ def _mean_of_three(plane: Plane, axis: int) -> Plane:
 
 
 def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
-    """Return Menon's green, and how much rougher the colour differences are along columns than
-    along rows (equations 1 to 6).
+    """Return Menon's estimate of green, and the amount by which colour differences are rougher
+    along columns than along rows (equations 1 to 6).
     """
     greens, roughness = [], []
     for axis in (1, 0):

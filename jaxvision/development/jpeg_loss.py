@@ -59,8 +59,9 @@ _LUMA_TABLE = np.array(
 _CHROMA_TABLE = np.full((8, 8), 99.0)
 _CHROMA_TABLE[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
 
-# sqrt(8) times the orthonormal cosines in 2^-13, as libjpeg's thirteen-bit constants add up to them
-# (jfdctint.c, after Loeffler, Ligtenberg and Moschytz, ICASSP 1989); its inverse is the transpose.
+# sqrt(8) times the orthonormal cosines, in units of 2^-13, as sums of libjpeg's thirteen-bit
+# constants (jfdctint.c, after Loeffler, Ligtenberg and Moschytz, ICASSP 1989). The inverse is the
+# transpose.
 _COSINES = np.array(
     [
         [8192, 8192, 8192, 8192, 8192, 8192, 8192, 8192],
@@ -106,7 +107,7 @@ def _warn_of_quality(quality: Scalar | float) -> None:
 
 
 def _tables(quality: Scalar | float, whole: bool) -> tuple[Table, Table]:
-    """The divisors of `quantisation_tables`, whole numbers or not."""
+    """Return the divisors of `quantisation_tables`, rounded or not."""
     quality = jnp.clip(as_float(quality), 1, 100)
     low = quality < 50
     divisor = jnp.where(low, quality, 1)
@@ -188,9 +189,9 @@ def _jpeg(picture: Image, quality: Scalar | float, subsampling: str, whole: bool
 
 # ---------------------------------------------------------------- whole numbers
 
-# Added to a whole number before it is divided by another and rounded down. It changes no result. It
-# guards against compilers that replace the quotient by a product with the reciprocal, which may
-# fall short of a whole number.
+# This is added to a whole number before it is divided by another and rounded down. It changes no
+# result, but guards against compilers that replace the quotient by a product with the reciprocal,
+# which may be just below a whole number.
 _NO_TIE = 0.5
 
 
@@ -209,8 +210,8 @@ def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool)
 
 # ---------------------------------------------------------------- colour
 
-# 16-bit fractions, rounded as in libjpeg (jccolor.c, jdcolor.c); JFIF's, from ITU-R BT.601. Their
-# products with codes stay below 2^24, where float32 counts exactly.
+# JFIF's coefficients, from ITU-R BT.601, as 16-bit fractions rounded as in libjpeg (jccolor.c,
+# jdcolor.c). Their products with codes stay below 2^24, where float32 is exact.
 _ONE = 1 << 16
 
 
@@ -250,7 +251,7 @@ def _code_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
 def _halve(plane: Plane, whole: bool) -> Other:
     """Return the means of 2 x 2 codes, with halves rounded alternately down and up (jcsample.c)."""
     height, width = plane.shape
-    # codes are repeated to the right at full size until the blocks are full, downwards at half size
+    # blocks are completed by repeated codes: to the right at full size, downwards at half size
     even = jnp.pad(plane, ((0, height % 2), (0, -width % 16)), mode="edge")
     total = even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]
     bias = jnp.asarray(1 + np.arange(total.shape[1]) % 2, plane.dtype)[None]

@@ -34,7 +34,7 @@ def develop(raw: Scalars, development: Development) -> Scalars:
     Args:
         raw: DN. A mosaic (..., h, w) or (..., h, w, 1) with demosaicing, else (..., h, w, bands);
             any shape for levels and curves alone.
-        development: the stages; a stage that is None is left out.
+        development: the stages; a stage that is None is omitted.
 
     Returns:
         (..., h, w, bands), or the shape of `raw`: relative values, where 1 is the white level; DN

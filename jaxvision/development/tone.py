@@ -48,7 +48,8 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
     if is_known(inputs):
         if not (np.diff(inputs) > 0).all():
             raise ValueError(f"tone_curve: inputs must ascend, got {np.asarray(inputs)}.")
-        if np.asarray(inputs)[-1] <= 100:  # a curve whose inputs are codes accepts codes
+        # If the inputs of the curve are codes, x may contain codes
+        if np.asarray(inputs)[-1] <= 100:
             refuse_codes(x)
     slopes = monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))

@@ -1,7 +1,7 @@
 """White balance: one gain per band, so that neutral objects look neutral.
 
-Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit. The smallest is 1, so
-that no band becomes darker than the sensor recorded it. The gains are von Kries' law applied in the
+Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit. The smallest gain is
+1, so that no band becomes darker than recorded. The gains are von Kries' law applied in the
 camera's primaries (Szeliski, Computer Vision, section 2.3.2).
 """
 
@@ -134,7 +134,8 @@ def grey_world_gains(
     used = jnp.broadcast_to(used, image.shape).astype(image.dtype)
     image = jnp.where(known, image, 0)
     norm = jnp.asarray(norm, image.dtype)
-    # powers of numbers up to 1 do not overflow, and the largest of a band does not vanish
+    # values are divided by the largest: their powers do not overflow, and that of the largest does
+    # not vanish
     largest = jax.lax.stop_gradient(jnp.max(image * used, axis=(-3, -2)))
     scale = or_one(largest)
     raised = used * power(image / jnp.broadcast_to(scale[..., None, None, :], image.shape), norm)
@@ -144,8 +145,8 @@ def grey_world_gains(
 
 
 def _balancing(means: Gains) -> Gains:
-    """Divide the largest mean by each band's mean; return 1 for a band whose mean is 0. A NaN makes
-    the gains of all bands NaN.
+    """Return the largest mean divided by each band's mean, or 1 for a band whose mean is 0. A NaN
+    makes the gains of all bands NaN.
     """
     brightest = jnp.max(means, axis=-1, keepdims=True)
     share = divide(means, brightest, ~(brightest <= 0))

@@ -30,7 +30,7 @@ from .rays import Ray
 
 Query = Callable[..., np.ndarray]  # function of a scene and rays
 
-_SHARE = 2048  # smallest number of rays for another core
+_SHARE = 2048  # smallest number of rays for which another core is used
 _KEPT = 8  # largest number of stored scenes; each contains a search tree as large as its mesh
 _built: OrderedDict[int, tuple[np.ndarray, np.ndarray, Any, np.float32]] = OrderedDict()
 _building = Lock()
@@ -85,8 +85,8 @@ def _is_blocked(
 
 
 def _broadcast(direction: np.ndarray) -> np.ndarray:
-    """Perturb directions by a few rounding errors. A ray without a hit is traced again in the
-    perturbed direction, because one in 100000 rays aimed at a vertex slips through the mesh.
+    """Perturb directions by a few rounding errors. One in 100000 rays aimed at a vertex slips
+    through the mesh, so a ray without a hit is traced again in the perturbed direction.
     """
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
@@ -106,7 +106,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
         scene, scale = _scene(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
         def trace(part: slice) -> np.ndarray:
-            # a copy of the directions, as Embree refuses read-only arrays
+            # a copy of the directions, because Embree rejects read-only arrays
             origin, direction, *far = (x[part] for x in flat)
             start = scale * origin + _START * direction
             return query(scene, start, np.array(direction), *(scale * x - _START for x in far))
@@ -140,7 +140,7 @@ def _threads() -> ThreadPoolExecutor:
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
     """Return the search tree of a mesh scaled to a size of about 1, and the scale, a power of two.
     Without scaling, rays would slip through very small triangles. Trees are cached by the mesh's
-    numbers, because comparing them costs less than tracing a thousand rays.
+    numbers; comparing these numbers takes less time than tracing a thousand rays.
     """
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene

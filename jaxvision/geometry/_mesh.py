@@ -17,8 +17,10 @@ from ._triangle import any_triangle, nearest_triangle, triangle_hit
 from ._unknown import unknown_without_ray
 from .rays import Hit, Ray
 
-_TRIED = 100  # triangles; for more, Embree's tree is faster on a CPU than testing each triangle
-_TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays must be copied to the CPU
+# Largest number of triangles for which a CPU tests each triangle faster than Embree searches its
+# tree
+_TRIED = 100
+_TRIED_ELSEWHERE = 4096  # this number on an accelerator, whose rays must be copied to the CPU
 
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:

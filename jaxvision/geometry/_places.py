@@ -141,7 +141,8 @@ def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
     """
     ends = running_sum(weights)
     at = u * ends[-1]
-    last = jnp.searchsorted(ends, ends[-1])  # the last index with a weight, as `at` may round up
+    # The last index with a weight above 0, because `at` may round up
+    last = jnp.searchsorted(ends, ends[-1])
     index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), last)
     width = weights[index]
     rest = divide(at - (ends[index] - width), width, width != 0)

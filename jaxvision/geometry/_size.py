@@ -23,13 +23,13 @@ def largest_component(v: Vec3) -> Scalar:
 
 
 def largest_coordinate(points: Sequence[Vec3]) -> Scalar:
-    """Return the largest magnitude of any component of any of the points.
+    """Return the largest absolute value of any component of any point.
 
     Args:
         points: (3,) each, in any one unit.
 
     Returns:
-        () in the unit of the points, 1 if all are 0. A constant for gradients.
+        () in the unit of the points, or 1 if all components are 0. The gradient is 0.
     """
     largest = reduce(jnp.maximum, (largest_component(point) for point in points))
     return jax.lax.stop_gradient(jnp.where(largest > 0, largest, 1))

@@ -7,9 +7,9 @@ The method is that of Woop, Benthin & Wald, "Watertight Ray/Triangle Intersectio
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
 t is the distance along the ray. Two triangles compute the function of a shared edge from the same
-two vertices, so the values are opposite except for rounding. Compiled code may round them
-differently for the two triangles. An edge function within this rounding error of zero therefore
-counts as inside, for both triangles.
+two vertices, so their values differ only in sign and rounding. Compiled code may round them
+differently. An edge function within this rounding error of zero therefore counts as inside for both
+triangles.
 """
 
 import jax
@@ -26,7 +26,8 @@ from ._size import largest_component
 from .hemisphere import Frame, cross, local_frame
 from .rays import Hit, Ray
 
-_CHUNK = 8  # triangles per turn of the loop, because one does not fill the vector units
+# Triangles per step of the loop, because a single triangle does not fill the vector units
+_CHUNK = 8
 
 
 def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
@@ -62,10 +63,11 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
     back = (u <= du) & (v <= dv) & (w <= dw)
     area = u + v + w
-    # an area of 0 within rounding: seen edge on, or degenerate; the distance becomes 0, a miss
+    # the area is 0 within rounding (edge-on or degenerate); the distance becomes 0, which is a miss
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
     inverse = 1 / jnp.where(flat, jnp.inf, area)
-    # weights first, as area times length leaves the range of float32 above 1e12 and below 1e-12 m
+    # weights are computed first, because area times length overflows or underflows in float32 above
+    # 1e12 and below 1e-12 m
     distance = (u * inverse) * a.z + (v * inverse) * b.z + (w * inverse) * c.z
     return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
 

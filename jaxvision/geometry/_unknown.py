@@ -7,6 +7,7 @@ from .rays import Hit, Ray
 
 
 def unknown_without_ray(hit: Hit, ray: Ray) -> Hit:
-    """Return the hit, of which every number is NaN if the ray has one that is NaN or infinite."""
+    """Return the hit. If a number of the ray is NaN or infinite, every number of the result is
+    NaN."""
     lost = ~jnp.isfinite(sum(jax.tree.leaves(ray)))
     return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), hit)

@@ -129,7 +129,7 @@ def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)
-    ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the known face lies ahead
+    ahead = jnp.maximum(distance, jnp.finfo(distance.dtype).tiny)  # the given face lies ahead
     distance = jnp.where(hit, replace_gradient(ahead, distance), jnp.inf)
     normal = Vec(*(jnp.where(hit & (axis == i), side, 0) for i in range(3)))
     point = where(hit, as_vec(box.centre) + _world(box, place), ray.origin)

@@ -98,7 +98,8 @@ def coarse(shape: Shape) -> list[str]:
         ]
     step = float(np.spacing(np.abs(place).max()))
     share, most, what = step / size, 1e-3, "its size"
-    # Smaller steps matter only for heights below 25e-6 of the size, in meshes of 1e9 triangles.
+    # A spacing below 1e-6 of the size matters only for heights below 25e-6 of the size, which occur
+    # in meshes of 1e9 triangles.
     if isinstance(shape, TriangleMesh) and 1e-6 < share <= most:
         corners = place[np.asarray(shape.faces)].astype(float)
         edges = corners - np.roll(corners, 1, axis=1)

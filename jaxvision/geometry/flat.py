@@ -135,7 +135,7 @@ def flat_quad(quad: Quad) -> FlatQuad:
 def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Intersect the ray's line with the plane of the parallelogram. Return (height, slope, u slope,
     v slope) with slope >= 0, so that a test needs no division. The distance is height / slope, m,
-    of either sign, and the crossing lies at u edge_u + v edge_v from the corner."""
+    of either sign. The crossing is at corner + u edge_u + v edge_v."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
     height, slope = jnp.where(slope < 0, -height, height), jnp.abs(slope)

@@ -46,7 +46,7 @@ from .rays import Encounter, Hit, Ray, offset_origin
 from .sphere import intersect_sphere, sphere_blocks, sphere_distance
 
 Carry = TypeVar("Carry")
-_CHUNK = 8  # shapes tested at once, because one does not fill the vector units
+_CHUNK = 8  # number of shapes tested at once, because a single shape does not fill the vector units
 
 
 class Sorted(Shown):
@@ -103,13 +103,13 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
         shape: any shape, m.
 
     Returns:
-        The nearest hit in front of the origin; a miss has distance inf. All numbers are NaN if
-        the ray has one that is NaN or infinite.
+        The nearest hit in front of the origin; a miss has distance inf. All numbers are NaN if a
+        number of the ray is NaN or infinite.
 
     Raises:
         ValueError: if the arguments are not a ray and a shape.
 
-    Warns of a shape so far from the origin that rounding in its dtype deforms it.
+    This function warns of a shape so far from the origin that rounding in its dtype deforms it.
 
     Example:
         >>> ray, ball = jv.Ray([0.6, 0, 5], [0, 0, -1]), jv.Sphere([0, 0, 0], 1)
@@ -145,7 +145,7 @@ def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
 
     Returns:
         The indices of the shape and of its triangle. Distances are compared without their last
-        three bits. No gradient.
+        three bits. There is no gradient.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -232,7 +232,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
     """Return the hit of one shape, without materialising values, for use inside a caller's loop.
-    `among`: whether this shape is known to be hit.
+    `among` tells whether the ray is known to hit this shape.
     """
     match shape:
         case FlatQuad():

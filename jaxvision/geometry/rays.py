@@ -113,8 +113,8 @@ def offset_origin(
     again.
 
     The point moves along the normal to the side of the ray, by the largest distance by which
-    rounding can have put it on the wrong side. This function knows the normal of one face only. At
-    an edge or a corner of a mesh, a ray may leave one face outward and its neighbour inward. The
+    rounding may have moved it to the wrong side. This function knows the normal of one face only.
+    At an edge or a corner of a mesh, a ray may leave one face outward and its neighbour inward. The
     ray then starts on the wrong side of the neighbour and may hit it.
 
     Args:

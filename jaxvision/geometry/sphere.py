@@ -38,7 +38,7 @@ def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]
     root.
     """
     b, discriminant = _closest(ray, sphere)
-    rest = distance - b  # from the closest approach to the end
+    rest = distance - b  # from the closest approach to the end of the ray
     less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
     reaches = discriminant > jnp.maximum(-less * jnp.abs(less), 0)
     return reaches & (discriminant <= more * more)  # otherwise both ends lie inside the sphere

@@ -1,7 +1,7 @@
 """Histograms and operations based on them: cumulative distributions, quantiles, thresholds,
 equalisation (full, partial, locally adaptive) and matching.
 
-Images are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
+An image is one grey plane (h, w), or (..., h, w, bands), where each band of each image is a
 separate plane. `uint8` and `uint16` images are counted exactly, with one bin per code. Floating
 images have relative values and are counted in equal bins of a stated range. NaN is never counted.
 """

@@ -25,8 +25,8 @@ Range = Sequence[float]
 
 LEVELS = {np.dtype(np.uint8): 256, np.dtype(np.uint16): 65536}
 FLOAT_BINS = 256
-CODES_ABOVE = 16.0  # a floating image with values so far above white contains codes
-# Pixels of one scatter: its indices stay in the cache (10x at 2048 x 2048).
+CODES_ABOVE = 16.0  # a floating image with values above this contains codes
+# Pixels per scatter, whose indices then stay in the cache (10 times as fast for 2048 x 2048).
 BLOCK = 2**16
 PAIRED = 4  # largest number of 8-bit planes for which pairs of codes are counted
 
@@ -121,8 +121,8 @@ def plane_numbers(stack: Stack) -> Int[Array, "n 1 1 bands"]:
 
 
 def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
-    """Return the bin of each code, (levels,); the number of bins stands for a code outside the
-    range.
+    """Return the bin of each code, (levels,). A code outside the range gets the number of bins as
+    its index.
     """
     codes, edges = np.arange(levels), chosen.edges
     index = np.searchsorted(edges, codes, side="right") - 1
@@ -131,8 +131,8 @@ def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
 
 
 def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
-    """Return the bin of each value, corrected by a comparison with the edges as in numpy. The
-    number of bins stands for NaN and for values outside the range.
+    """Return the bin of each value, corrected by a comparison with the edges as in numpy. NaN and
+    values outside the range get the number of bins as their index.
     """
     bins, low, high = chosen
     edges = jnp.asarray(chosen.edges, x.dtype)
@@ -165,8 +165,9 @@ def count(
 
 
 def _pair_counts(stack: Stack) -> Int[Array, "planes 256"]:
-    """Count the codes of 8-bit images. Counting two neighbours as one of 65536 pairs takes half as
-    many steps, and the two halves of a large picture are counted at the same time.
+    """Count the codes of 8-bit images. Two neighbours are counted together, as one of 65536 pairs,
+    which halves the number of steps. The two halves of a large picture are counted at the same
+    time.
     """
     n, h, w, bands = stack.shape
     planes, even = jnp.moveaxis(stack, -1, 1).reshape(n * bands, h * w), h * w // 2 * 2

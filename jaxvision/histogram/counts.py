@@ -34,8 +34,8 @@ from ._planes import (
 
 # Partial sums of weights have up to this many separate entries: see `_weighted_counts`.
 PARTIAL_SUMS = 2**20  # largest number of entries of all bins together
-RUN = 2**12  # smallest number of pixels that are summed at once
-DIGITS = 2**11  # step of a weight's upper digits, of which 2^13 weights sum exactly in float32
+RUN = 2**12  # smallest number of pixels in one partial sum
+DIGITS = 2**11  # upper digits are multiples of 1 / DIGITS, of which 2^13 sum exactly in float32
 
 
 class Histogram(Shown):
@@ -209,9 +209,9 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     values >= t.
 
     If several edges give the same variance, the first of them is returned; if all values are in one
-    bin, the first inner edge is. For integer images OpenCV and scikit-image return the last code of
-    the lower class: t - 1. Near its maximum the variance is constant within float32 rounding.
-    Without x64 the threshold for 65536 bins may therefore be wrong by a few bins (30002 instead of
+    bin, the first inner edge is. For integer images, OpenCV and scikit-image return t - 1, the last
+    code of the lower class. Near its maximum the variance is constant within float32 rounding. In
+    float32 the threshold for 65536 bins may therefore be wrong by a few bins (30002 instead of
     30000).
 
     Args:
@@ -234,7 +234,8 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     bins = edges.shape[0] - 1
     if bins < 2:
         raise ValueError("a threshold needs at least 2 bins, got 1.")
-    # bin numbers about the middle instead of values: shift and scale do not change the argmax
+    # bin numbers relative to the middle replace values, because shift and scale do not change the
+    # argmax
     centres = jnp.arange(bins, dtype=edges.dtype) - (bins - 1) / 2
     centres = centres.reshape(*(1,) * (counts.ndim - 1), bins)
     weight = cumulative_distribution(histogram)[..., 1:-1]

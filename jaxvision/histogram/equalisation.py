@@ -44,9 +44,10 @@ def equalise(
 ) -> Shaped[Array, "..."]:
     """Equalise each plane by its own curve.
 
-    For uint8 and uint16 it equals OpenCV's `equalizeHist`: the first occupied code c becomes 0, and
-    every code becomes round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without `first_to_zero`
-    it is the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<= I) / N.
+    For uint8 and uint16 the result equals that of OpenCV's `equalizeHist`: the first occupied code
+    c becomes 0, and every code becomes round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without
+    `first_to_zero` the result is the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<=
+    I) / N.
 
     In floating images the value x becomes low + (high - low) CDF(x), where values are assumed
     uniform within their bin. The lower edge of the darkest bin becomes low, and the upper edge of

@@ -34,7 +34,8 @@ from ._planes import (
 )
 
 Tiles = tuple[int, int]
-MOST_PIXELS = 2**30  # of a tile: the value for "no limit", exact in every floating dtype
+# Pixels of a tile; as a clip limit it means "no limit", and is exact in every floating dtype
+MOST_PIXELS = 2**30
 
 
 @takes_numbers

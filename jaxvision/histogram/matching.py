@@ -70,7 +70,7 @@ def _matching_codes(
     """Return the code to which each code is mapped."""
     codes = jnp.arange(counts.shape[-1], dtype=jnp.int32)[None]
     occupied = offered > 0
-    # an empty code repeats the last occupied one, so that interpolation skips it
+    # an empty code gets the value of the last occupied code, so that interpolation skips it
     last = jax.lax.cummax(jnp.where(occupied, codes, -1), axis=1)
     lowest = jnp.argmax(occupied, axis=-1).astype(last.dtype)[:, None]
     values = jnp.where(last < 0, lowest, last)

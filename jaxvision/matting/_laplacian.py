@@ -27,8 +27,8 @@ _WINDOW = tuple(product(range(3), repeat=2))
 def matting_laplacian(
     image: Float[Array, "h w bands"], *, epsilon: Scalar | float = 1e-7
 ) -> Stencil:
-    """Return the stencil of a picture (h, w, bands) with any number of bands. `epsilon` is a
-    relative light squared. Raise `ValueError` below 3 x 3 pixels.
+    """Return the stencil of a picture (h, w, bands) with any number of bands. `epsilon` is in the
+    square of relative light. Raise `ValueError` below 3 x 3 pixels.
     """
     rows, columns, bands = image.shape
     if min(rows, columns) < 3:
@@ -51,7 +51,7 @@ def matting_laplacian(
 
 
 def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
-    """Multiply the stencil's matrix by a one-band picture, (h, w); relative."""
+    """Multiply the stencil's matrix by a picture of one band, (h, w), relative."""
     rows, columns = x.shape
     padded = jnp.pad(x, 2)
 
@@ -59,7 +59,7 @@ def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
         band = jax.lax.dynamic_slice_in_dim(padded, i, rows)
         return total + sum(stencil[i, j] * band[:, j : j + columns] for j in range(5))
 
-    # a loop over rows of taps: all 25 in one expression compile five times longer
+    # a loop over rows of taps, because one expression of all 25 taps compiles five times as long
     return fori_loop(0, 5, add_row, jnp.zeros_like(x))
 
 

@@ -4,8 +4,8 @@ hundreds.
 
 A coarse grid keeps every second pixel, interpolation P from coarse to fine is bilinear, and
 restriction is its transpose. The coarse stencil is Galerkin's P^T A P, which again has 5 x 5
-coefficients. Source: Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapter 10; nothing
-here has a unit.
+coefficients. Source: Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapter 10. All
+quantities in this file are dimensionless.
 """
 
 from itertools import product
@@ -19,10 +19,10 @@ from jaxtyping import Array, Float, Int
 from ..core.parallel_loops import map_
 from ._laplacian import Plane, Stencil, apply_stencil
 
-# of any size, because coarse and fine grids are arguments of one function
+# grids of any size, because one function takes coarse and fine grids
 Grid = Float[Array, "_ _"]
 
-_COARSEST = 8  # pixels a side, solved directly
+_COARSEST = 8  # largest number of pixels per side of the coarsest grid, which is solved directly
 _DAMPING = 0.7  # damping of Jacobi's iteration, for matting Laplacians
 
 

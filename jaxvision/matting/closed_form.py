@@ -25,7 +25,8 @@ from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsen, v_cycle
 
 BACKGROUND, FOREGROUND = 0.1, 0.9
-ROUNDING = 0.5  # of the square of the largest light and the unit in the last place: least epsilon
+# Smallest epsilon, divided by the machine epsilon and by the square of the largest light
+ROUNDING = 0.5
 STEPS = 500  # largest number of steps of the solver
 
 
@@ -146,17 +147,17 @@ def _solve(
         maxiter=max_steps,
         M=lambda r: v_cycle(grids, r),
     )
-    # the solver updates its residual instead of recomputing it, with other rounding errors
+    # recomputed, because the solver updates its residual, which accumulates rounding errors
     left = jnp.linalg.norm(wanted - apply_stencil(system, solution))
     converged = left <= 4 * tolerance * jnp.linalg.norm(wanted)
-    solution = jnp.where(jnp.isnan(left), left, solution)  # if the solver could not start
+    solution = jnp.where(jnp.isnan(left), left, solution)  # NaN if the solver could not start
     return Matte(jnp.clip(solution, 0, 1)[..., None], converged)
 
 
 def _warn_of_no_effect(
     image: Array, trimap: Array, epsilon: Scalar | float, confidence: Scalar | float | None
 ) -> None:
-    """Warn if the matte does not depend on the picture, or hardly."""
+    """Warn if the matte does not depend on the picture, or hardly depends on it."""
     if is_known(trimap) and confidence is None:
         marks = np.asarray(trimap)
         if not ((marks > BACKGROUND) & (marks < FOREGROUND)).any():

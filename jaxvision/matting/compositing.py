@@ -43,8 +43,9 @@ Layer = Float[Array, "... _"]
 Alpha = Float[Array, "... 1"]
 print_by_name(globals(), "Layer", "Alpha")
 
-SEVERAL = 30  # partly covered pixels for a judgement of straight and multiplied colours
-CODE = 0.5 / 255  # rounding of a colour of 8 bits
+# Smallest number of partly covered pixels that shows whether colours are premultiplied
+SEVERAL = 30
+CODE = 0.5 / 255  # rounding error of an 8-bit colour
 
 # (F_A of alpha_B, F_B of alpha_A): Porter and Duff, section 4.2, and their "plus" of section 4.5.
 _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]] = {
@@ -163,8 +164,8 @@ def _warn_of_rgb(*layers: Layer) -> None:
 
 
 def _partly_covered(layer: Layer, most: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the largest light and the coverage of pixels with a coverage up to `most`, if the
-    picture is known, has enough of them, and has no light above 1."""
+    """Return the largest light and the coverage of pixels with a coverage up to `most`. Return None
+    if JAX traces the picture, if it has too few such pixels, or if it has light above 1."""
     if not is_known(layer) or layer.ndim < 3:
         return None
     pixels = np.asarray(layer)
@@ -188,7 +189,8 @@ def _warn_of_straight(name: str, layer: Layer) -> None:
 
 
 def _warn_of_premultiplied(rgba: Layer) -> None:
-    """Warn about colours that are nowhere above their coverage, though some are hardly covered."""
+    """Warn about colours that nowhere exceed their coverage, although some pixels are hardly
+    covered."""
     found = _partly_covered(rgba, 0.1)
     if found is None or not (found[0] <= found[1] + CODE).all() or not np.median(found[0]) > 0:
         return
@@ -315,8 +317,8 @@ def layer_to_srgb(layer: Layer) -> Layer:
         layer: (..., 4) premultiplied relative light and coverage.
 
     Returns:
-        (..., 4) in [0, 1]: sRGB, not multiplied by the coverage, and the coverage. The sRGB is
-        black where the coverage is 0.
+        (..., 4) in [0, 1]: sRGB, not multiplied by the coverage, and the coverage. The sRGB colour
+        is black where the coverage is 0.
 
     Raises:
         ValueError: for an alpha outside [0, 1].

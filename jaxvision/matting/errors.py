@@ -9,11 +9,10 @@ pictures from the matte,
 where F and B are the colours of foreground and background. A simulated texture is the texture of
 the known foreground or background, convolved with white noise, which keeps its covariance over
 pixels and bands. The mattes of the simulated pictures differ from alpha as alpha differs from the
-true coverage. The inverse of the matting Laplacian, which would be the covariance if its energy
-were a negative log-probability, is not used: on simulated hair, with the energy of a pixel as unit,
-the true errors are 1.2 to 9 times as large, and 95 % intervals contain 86 % (even colours) to 36 %
-(texture) of the true values. No single unit serves, because the needed one differs by up to 50
-times between pictures.
+true coverage. The inverse of the matting Laplacian, the covariance if the energy were a negative
+log-probability, is not used. With the energy of a pixel as unit, the true errors on simulated hair
+are 1.2 to 9 times as large, and 95 % intervals contain 86 % (even colours) to 36 % (texture) of the
+true values. The right unit differs by a factor of up to 50 between pictures.
 
 Source:
     Galerne, Gousseau & Morel, "Random Phase Textures: Theory and Synthesis", IEEE Trans. Image
@@ -33,8 +32,8 @@ from ..core.parallel_loops import map_
 from ..filters import gaussian
 from .closed_form import BACKGROUND, FOREGROUND, STEPS, _least_residual, _solve, closed_form_matte
 
-_SMOOTH = 32.0  # pixels, the scale over which the smooth colour of a side varies
-_FAR = 1e-6  # weight of a side's mean colour, for places far from all of its pixels
+_SMOOTH = 32.0  # pixels, the length over which the smooth colour of foreground or background varies
+_FAR = 1e-6  # weight of the mean colour, for pixels far from all known pixels
 
 
 class MatteErrors(Shown):
@@ -106,7 +105,7 @@ def matte_errors(
     off = _draw_picture(jax.random.split(key, draws), image, trimap, alpha, epsilon, confidence)
     sd = jnp.sqrt(jnp.mean(off * off, axis=0))
     moved = alpha[None] - off
-    beyond = (moved < 0) | (moved > 1)  # where alpha is 0 or 1, alpha - off always is
+    beyond = (moved < 0) | (moved > 1)  # if alpha is 0 or 1, alpha - off always lies outside
     return MatteErrors(alpha, sd, jnp.where(beyond, alpha[None] + off, moved))
 
 
@@ -139,9 +138,8 @@ def _draw_picture(
 def _side(
     image: Float[Array, "h w bands"], known: Array
 ) -> tuple[Float[Array, "h w bands"], Float[Array, "h w bands"]]:
-    """Return the smooth colour of one side (foreground or background) in every pixel, and its
-    texture where the side is known. The texture is scaled so that its sum of squares is the
-    variance.
+    """Return the smooth colour of the foreground or of the background in every pixel, and the
+    texture where it is known. The texture is scaled so that its sum of squares is the variance.
     """
     share = jnp.broadcast_to(known.astype(image.dtype), image.shape)
     count = jnp.maximum(share[..., 0].sum(), 1)

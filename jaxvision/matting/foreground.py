@@ -41,8 +41,8 @@ def estimate_foreground(
     pixels.
 
     The solver starts with one pixel and doubles the size from level to level up to the whole
-    picture. A step solves the equations of every pixel exactly with its neighbours fixed. The
-    foreground times alpha, with alpha, is a layer of `compositing`.
+    picture. Each step solves the equations of every pixel exactly, with the neighbours fixed. For a
+    layer of `compositing`, multiply the foreground by alpha and append alpha.
 
     Four `fine_steps` are fast, not exact. In the soft edge of a disc on 256 x 256 pixels the RMS
     error of the layer, in relative light, is 0.0142 with four steps, 0.0102 with 40, and 0.0094 at

@@ -39,7 +39,8 @@ def difference_matte(
         (..., 1) alpha, no unit.
 
     Raises:
-        ValueError: unless `low` < `high`. If they are traced the matte is then a step at `low`.
+        ValueError: unless `low` < `high`. If traced limits violate this, the matte is a step at
+            `low`.
 
     Example:
         >>> wall, leaf = [0.2, 0.2, 0.2], [0.2, 0.5, 0.6]
@@ -74,8 +75,8 @@ def blue_screen_matte(
         backing: (..., bands) or (bands,) light of the screen, relative.
         channel: the band of the screen (2 is blue; 1 for a green screen).
         foreground: assumption on the object: "none": it reflects no light in that band; "grey": it
-            reflects the mean of the other bands. (Skin fulfils "grey" in green and blue: pass these
-            two alone.)
+            reflects the mean of the other bands. (Skin fulfils "grey" if only the green and blue
+            bands are passed.)
 
     Returns:
         (..., 1) alpha, no unit.
@@ -124,7 +125,7 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
     Returns:
         (..., 1) alpha, no unit; 1 where both colours are equal, so that any alpha fits.
 
-    Source: Levin, Lischinski, Weiss 2008, equation 1: a projection onto one line.
+    Source: Levin, Lischinski, Weiss 2008, equation 1, projected onto the line from B to F.
 
     Example:
         >>> hair, sky = np.array([0.1, 0.05, 0.0]), np.array([0.3, 0.5, 0.9])

@@ -114,8 +114,8 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
         radius: () pixels, radius of the image of the whole lens. A negative radius inverts the
             kernel, for light from behind the plane in focus (`defocus_radius`); 0 gives the
             identity.
-        size: side of the kernel in pixels, odd, static. The part outside is cut off and the rest
-            renormalised.
+        size: side of the kernel in pixels, odd, static. Light outside the kernel is cut off, and
+            the weights are rescaled to sum 1.
 
     Returns:
         (size, size) weights of sum 1, no unit.
@@ -172,8 +172,8 @@ def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[
 
 
 def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
-    """Return, for each pixel of a square, the area inside it of a disc centred at 0. Only one
-    quadrant is computed.
+    """Return the area of a disc, centred at 0, inside each pixel of a square. Only one quadrant is
+    computed.
     """
     away = np.abs(np.arange(size) - size // 2)
     outer = jnp.asarray(np.arange(size // 2 + 1) + 0.5, radius.dtype)
@@ -252,7 +252,8 @@ def _polygon_in_pixels(
 
 def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
     """Return the mean of x from a to b, with each x clipped to [left, left + 1]. The mean is
-    relative to the point of this interval nearest to 0, so that small polygons have accurate areas.
+    relative to the point of [left, left + 1] nearest to 0, so that small polygons have accurate
+    areas.
     """
     right = left + 1
     origin = jnp.clip(0, left, right)

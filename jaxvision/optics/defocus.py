@@ -5,9 +5,9 @@ One pass over the picture approximates a rendering with hundreds of rays per pix
 A point whose reciprocal distance differs by delta from that of the plane in focus is blurred to an
 image of the aperture. That image has the signed radius (d / 2) z_i delta, with the lens diameter d
 and the image distance z_i: the image is upright for points nearer than the plane in focus, and
-inverted for points behind it. For a single plane all methods and the sampled lens give the same
-picture. The methods differ at the edge of a nearer surface, because the sharp picture does not
-contain the light from behind it:
+inverted for points behind it. For a single plane, all methods agree with rays sampled over the
+lens. The methods differ at the edge of a nearer surface, because the sharp picture does not contain
+the light from behind it:
 
 - `gather_defocus`: each pixel averages by its own kernel. A flat picture stays flat. A blurred
   foreground before a sharp background wrongly keeps a sharp edge.
@@ -49,7 +49,7 @@ Depth = Float[Array, "h w"]
 Plane = Float[Array, "h w ..."]
 print_by_name(globals(), "Picture", "Depth", "Plane")
 
-# If a layer has a smaller share of a pixel, its colour there is uncertain.
+# Smallest share of a pixel at which a layer's colour is well determined there
 _FEW = 1e-3
 
 
@@ -91,8 +91,8 @@ def gather_defocus(
         picture: (h, w, bands) in any unit linear in light.
         depth: (h, w) m along the axis; NaN counts as in focus.
         radius: radius of the largest kernel in pixels, static, at least 1.
-        members: number of kernels in the bank, static, at least 2; None for one kernel per pixel of
-            radius, upright and inverted. Unused for a round aperture.
+        members: number of kernels in the bank, static, at least 2; None for one upright and one
+            inverted kernel per pixel of radius. Unused for a round aperture.
 
     Returns:
         (h, w, bands) in the unit of the picture.
@@ -117,7 +117,7 @@ def scatter_defocus(
 ) -> Picture:
     """Spread each pixel's light over the image of the aperture for its own depth.
 
-    The function is the transpose of `gather_defocus`: the sum of light is conserved, because light
+    The function is the transpose of `gather_defocus`. The sum of light is conserved, because light
     that leaves the picture is mirrored back.
 
     Args:
@@ -192,12 +192,12 @@ def layered_defocus(
         kernel = aperture_kernel(view.aperture, scale, size=2 * radius + 1)
         parts = jnp.concatenate([picture * share, share, nearer], axis=-1)
         blurred = correlate(parts, kernel.astype(picture.dtype))
-        if layer == 0:  # the farthest continues behind the others, even in focus
+        if layer == 0:  # the farthest layer continues behind the others, even if it is in focus
             blurred = blurred + _FEW * correlate(parts.at[..., -1].set(0), around)
         own, cover = blurred[..., -2:-1], blurred[..., -1:]
         seen = jnp.maximum(cover - covered, 0) / (own + _FEW**2)
         light = light + seen * blurred[..., :-2]
-        # an empty layer covers nothing here, even where its blur makes nearer layers look dense
+        # `own` is 0 for an empty layer, which covers nothing even if the blurred mask does
         covered = covered + seen * own
     return divide(light, covered, ~(covered <= smallest_divisor(covered.dtype)), picture)
 

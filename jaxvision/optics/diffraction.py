@@ -27,7 +27,8 @@ from .wavefront import wavefront_kernel
 
 # The first zero of J_1, divided by pi.
 _FIRST_ZERO = 1.2196698912665045
-_STOP = Range(0, float(np.nextafter(1, 0)), nan=True)  # diameter of a central stop
+# Range of the relative diameter of a central stop
+_STOP = Range(0, float(np.nextafter(1, 0)), nan=True)
 _WIDE = 3.0  # pixel size in lambda N; larger pixels are integrated along their edges
 
 
@@ -147,16 +148,18 @@ def airy_kernel(
 
 def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
     """Return the integral of (J_0^2 + J_1^2) / (2 pi r^2) (r . n) along the edges of each pixel, no
-    unit. `scale`: the Bessel functions' argument x per pixel of distance.
+    unit. `scale` is the argument x of the Bessel functions per pixel of distance.
     """
     nodes, weights = np.polynomial.legendre.leggauss(order)
-    right = np.arange(size // 2 + 1)[:, None, None] + 0.5  # distances of edges from the middle
+    # Distances of the pixels' edges from the middle
+    right = np.arange(size // 2 + 1)[:, None, None] + 0.5
     along = np.arange(size)[:, None] - size // 2 + nodes / 2
     distance = np.hypot(right, along)
     flux = jnp.asarray(right / (2 * np.pi * distance**2) * weights / 2, scale.dtype)
     rest = _outside(scale * jnp.asarray(distance, scale.dtype))
     through = (rest * flux).sum(axis=-1)
-    through = jnp.concatenate([-through[::-1], through])  # to the right, edge by edge
+    # The light that crosses each edge to the right
+    through = jnp.concatenate([-through[::-1], through])
     gained = jnp.diff(through, axis=0)
     return gained + gained.T
 
@@ -204,7 +207,7 @@ def lens_kernel(
         >>> round(float(kernel[1, 1]), 2)
         0.89
     """
-    # a closed aperture passes no light to spread
+    # a closed aperture transmits no light
     f_number = jnp.where(jnp.isinf(view.f_number), 1, view.f_number)
     working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
     size, wavelength = diffraction.size, diffraction.wavelength
@@ -257,7 +260,7 @@ def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance:
     """
     kernel = lens_kernel(view, diffraction, view.pixel_pitch)
     if isinstance(diffraction, Wavefront):
-        kernel = kernel[::-1, ::-1]  # an Airy pattern is even
+        kernel = kernel[::-1, ::-1]  # an Airy pattern is symmetric and needs no flip
     # rounding in a transform may leave negative light
     return jnp.maximum(correlate(irradiance, kernel, border="clamp"), 0)
 
@@ -271,8 +274,8 @@ def diffraction_mtf(
     *,
     obstruction: Scalars | None = None,
 ) -> Scalars:
-    """Return the contrast of a sine pattern after diffraction; 0 from the cut-off 1 / (lambda N)
-    on.
+    """Return the contrast of a sine pattern after diffraction, which is 0 at and above the cut-off
+    frequency 1 / (lambda N).
 
     The contrast is the overlap of the pupil with a copy of itself, shifted by 2 lambda N
     `frequency` pupil radii. For a full disc the contrast is (2 / pi) (arccos v - v sqrt(1 - v^2)),

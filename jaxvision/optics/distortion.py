@@ -146,7 +146,7 @@ def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sc
 
     starts_well = _is_before_fold(distortion, x, y)
     start = jnp.where(starts_well, x, 0), jnp.where(starts_well, y, 0)
-    # far outside the image, a whole step would overshoot more than halving can correct
+    # far outside the image, a full step would overshoot too far for halving to correct
     share = 1 / jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), 1)
     begin = (0, *start, share, jnp.ones((), bool))
     _, u, v, *_ = while_loop(lambda state: state[-1], step, begin)

@@ -4,8 +4,8 @@
 
 E is the irradiance, L the radiance, A the area of the aperture, d its diameter, z_i the distance to
 the sensor (the focal length only at infinity focus) and cos the cosine between the chief ray and
-the axis. The aperture is small, at distance z_i / cos, and inclined to both the ray and the sensor.
-The factor cos^4 is applied here only; rays have no such weight.
+the axis. The factor cos^4 is due to the distance z_i / cos of the small aperture, and to its and
+the sensor's inclination to the ray. Only this module applies the factor; rays have no such weight.
 
 Source:
     Szeliski, Computer Vision, section 2.2.3.
@@ -32,9 +32,9 @@ WIDEST = 0.5  # f-number at which a lens in air gathers light from a whole hemis
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
     """Compute the irradiance on the sensor at one pixel.
 
-    A rim vignettes (`clear_fraction`). If distortion stretches the image, the irradiance decreases
-    in proportion to the increase in area. A view without an f-number returns the radiance
-    unchanged, without falloff.
+    A rim vignettes (`clear_fraction`). If distortion enlarges the image locally, the irradiance is
+    divided by the ratio of areas. A view without an f-number returns the radiance unchanged,
+    without falloff.
 
     Args:
         view: the camera's projection.

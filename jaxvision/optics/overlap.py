@@ -97,7 +97,7 @@ def _overlap_with_polygon(
     right: Scalar, down: Scalar, radius: Scalar, x: Scalars, y: Scalars
 ) -> Scalar:
     area, arcs, enters, leaves = _sides(right, down, radius, x, y)
-    # if no side crosses the disc, the polygon contains the whole disc or nothing of it
+    # if no side crosses the disc, the polygon contains the whole disc or no part of it
     apart = jnp.pi * radius * radius * jnp.round(arcs.sum() / (2 * jnp.pi))
     return jnp.where((leaves > enters).any(), area.sum(), apart)
 
@@ -131,8 +131,9 @@ def _sides(
 def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
     """Return half the angle of each circle's arc inside the other disc. The angles are pi and 0 if
     one disc contains the other, and pi / 2 if both coincide."""
-    # twice the semi-perimeter, and this minus twice each side; negative values form no triangle.
-    # `gap`, the distance from the larger rim, is precise if the smaller disc lies near this rim.
+    # the perimeter, and the perimeter minus twice each side; if one is negative, the sides form no
+    # triangle. `gap`, the distance of the smaller disc's centre from the larger rim, is precise
+    # near this rim.
     larger, smaller = jnp.maximum(r1, r2), jnp.minimum(r1, r2)
     gap = d - larger
     whole, beyond = larger + smaller + d, jnp.maximum(smaller - gap, 0)

@@ -39,7 +39,7 @@ def sample_image(
         (..., rows, columns, bands) in the unit of the image.
 
     Raises:
-        ValueError: `interpolation` is neither of both, or the image has no pixel.
+        ValueError: `interpolation` is neither "linear" nor "cubic", or the image has no pixel.
 
     Source:
         Keys, "Cubic Convolution Interpolation for Digital Image Processing", IEEE Trans. ASSP 29

@@ -21,7 +21,7 @@ from ..core._arguments import takes_numbers, takes_range
 from ..core._numerics import divide, or_one, smallest_divisor
 from ..core._types import AMOUNT, Scalars, is_known
 
-LONGEST = 10.0  # m; no lens is so weak, except in telescopes, whose objects are far
+LONGEST = 10.0  # m; only telescopes have longer focal lengths, and their objects are far
 NARROWEST_BLUR = 1e-6  # rad; smaller blurs are probably given in another unit
 
 
@@ -359,7 +359,7 @@ def _is_near(z: Scalars, f: Scalars, times: float = 2.0) -> Bool[Array, "..."]:
 
 
 def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
-    """Return z, m, twice: as the input of the formula for near z and of the formula for far z.
+    """Return two copies of z, m: one for the formula for near z, one for the formula for far z.
     Outside the range of its formula, z is replaced by a value that gives finite numbers.
     """
     return jnp.where(_is_near(z, f, 4.0), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)

@@ -30,7 +30,8 @@ from .aperture import aperture_point
 from .distortion import distort, undistort
 from .thin_lens import image_vergence
 
-PARALLEL = 1e-7  # directions at a smaller sine of their angle are equal in single precision
+# Directions count as equal in single precision if the sine of their angle is smaller
+PARALLEL = 1e-7
 
 
 @takes_numbers

@@ -1,5 +1,4 @@
-"""Mechanical vignetting: loss of the light that a second aperture, the rim, in front of the lens
-blocks.
+"""Mechanical vignetting: a second aperture, the rim, in front of the lens blocks light.
 
 With a rim at the distance l in front of an aperture of diameter d and a plane in focus at z_f, a
 ray through the point a of the aperture crosses the plane of the rim at a (1 - l / z_f) + l t, with

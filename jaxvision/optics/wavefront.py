@@ -6,8 +6,8 @@ With the wavefront error W, m, over points rho of the unit disc of the pupil, a 
 
 with x the position on the sensor in m, wavelength lambda and f-number N. If the aperture has
 another shape, the integral extends over its points, relative to the radius of the lens. W = 0 gives
-the Airy pattern of a round aperture. For a large W, each point of the pupil sends its light to 2 N
-grad W, as in geometrical optics.
+the Airy pattern of a round aperture. For a large W, light from each point of the pupil reaches the
+sensor at 2 N grad W, as in geometrical optics.
 
 Source:
     Born and Wolf, Principles of Optics, sections 9.1 to 9.3; Noll, "Zernike polynomials and
@@ -222,7 +222,7 @@ def wavefront_otf(
         size = safe_sqrt(frequency @ frequency)
         still = size <= 0
         along = jnp.where(still, jnp.asarray([1.0, 0.0], dtype), divide(frequency, size, ~still))
-        shift = wavelength * f_number * size  # half of it, to both sides
+        shift = wavelength * f_number * size  # half of the shift to each side
         u, v, weight = _overlap(aperture, along, shift, samples)
 
         def error(u: Array) -> Array:
@@ -243,8 +243,8 @@ def _overlap(
     shift: Scalar,
     samples: int,
 ) -> tuple[Array, Array, Array]:
-    """Return nodes u along a direction and v across it of a quadrature over the points of a convex
-    aperture that stay inside it when shifted to both sides along u, and their weights."""
+    """Return nodes, u along a direction and v across it, and weights of a quadrature over part of a
+    convex aperture: the points that stay inside it if they are shifted to either side along u."""
     nodes, weights = (jnp.asarray(x, along.dtype) for x in np.polynomial.legendre.leggauss(samples))
     if isinstance(aperture, CircularAperture):
         turn = jnp.pi / 2 * nodes[:, None]
@@ -257,7 +257,7 @@ def _overlap(
     right, down = aperture_corners(aperture, along.dtype)
     turned = jnp.stack(
         [along[1] * right - along[0] * down, along[0] * right + along[1] * down]
-    )  # -v and u, which keeps the order of the corners
+    )  # coordinates (-v, u), which keep the order of the corners
     ends = jnp.sort(turned[0])
 
     def free(x: Scalar) -> tuple[Scalar, Scalar]:
@@ -267,7 +267,8 @@ def _overlap(
     def part(start: Scalar, end: Scalar) -> tuple[Array, Array, Array]:
         middle = (start + end) / 2  # the free length is linear between two corners
         inside = start + (end - start) / 4
-        slope = 4 * (_length(free(middle)) - _length(free(inside)))  # over the whole part
+        # Difference between the ends of the part
+        slope = 4 * (_length(free(middle)) - _length(free(inside)))
         first = _length(free(middle)) - slope / 2
         root = jnp.clip(divide(-first, slope, slope != 0), 0, 1)
         begin = jnp.where(first < 0, root, 0)

@@ -33,8 +33,9 @@ MOST_ENCODED, _DIVIDE = 8.0, "divide codes by the largest one, such as 255"
 def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "power") -> Scalars:
     """Encode linear values by linear^(1 / gamma). Values below 0 count as 0, with gradient 0.
 
-    Textbooks call this gamma correction: it compensates the power law of a display. Some textbooks
-    (Szeliski, Computer Vision, section 3.1.1) give the same formula for inverting a gamma.
+    Textbooks call this gamma correction: the encoding compensates the power law of a display. Some
+    textbooks (Szeliski, Computer Vision, section 3.1.1) give the same formula for inverting a
+    gamma.
 
     Args:
         linear: (...) relative.
@@ -64,9 +65,8 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
     Args:
         encoded: (...) relative.
         gamma: no unit, above 0.
-        method: "power" is accurate to the last digit or two. "exp2", exp2(gamma log2 x), takes a
-            third of its time on a CPU and has an error of up to 20 gamma units of the last place on
-            [1e-5, 1].
+        method: "power" has an error of one or two ULP. "exp2", exp2(gamma log2 x), takes a third of
+            the time on a CPU, and has an error of up to 20 gamma ULP on [1e-5, 1].
 
     Returns:
         (...) relative, linear.

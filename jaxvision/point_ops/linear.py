@@ -11,7 +11,7 @@ from ..core._types import Scalars, as_relative, map_beside
 
 @takes_numbers
 def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scalars:
-    """gain x + bias.
+    """Return gain x + bias.
 
     Args:
         x: (...) relative.

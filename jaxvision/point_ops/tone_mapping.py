@@ -18,7 +18,7 @@ from ..core._numerics import (
 from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, is_known, refuse_codes
 from ..core._warnings import warn_caller
 
-MANY = 0.05  # share of black pixels from which the log-average of the rest is wrong by a half
+MANY = 0.05  # share of black pixels at which the log-average of the other pixels is wrong by a half
 
 
 @takes_numbers
@@ -70,8 +70,8 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
     """Multiply the luminance by the key divided by its log-average (geometric mean), which moves
     the picture's middle grey to the key.
 
-    The log-average counts values below 1e-6 of the mean as 1e-6 of it, and ignores values that are
-    not finite.
+    In the log-average, values below 1e-6 of the mean are replaced by 1e-6 of the mean, and values
+    that are not finite are ignored.
 
     Args:
         luminance: (h, w) relative.
@@ -101,7 +101,7 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
 
 
 def _warn_of_black(luminance: Array) -> None:
-    """Warn if many values are black, which moves the log-average far below the rest."""
+    """Warn if many values are black, which moves the log-average far below the other values."""
     if not is_known(luminance):
         return
     black = float(np.mean(np.asarray(luminance) <= 0))
@@ -178,8 +178,8 @@ def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
 
 @_log_ratio.defjvp
 def _log_ratio_jvp(primals, tangents):
-    """Differentiate `_log_ratio`. The derivative with respect to `strength` is a difference of
-    nearly equal numbers if both logarithms are of numbers near 1, where a series is used.
+    """Differentiate `_log_ratio`. The derivative with respect to `strength` is a difference. If
+    both logarithms are of numbers near 1, a series is used, because the difference would cancel.
     """
     (x, strength), (dx, ds) = primals, tangents
     mapped, product = _log_ratio(x, strength), strength * x
@@ -203,7 +203,7 @@ def _log_ratio_jvp(primals, tangents):
 
 
 def _mean_slope(z: Scalars) -> Scalars:
-    """log(1 + z) / z, 1 at 0, for z >= 0."""
+    """Return log(1 + z) / z for z >= 0, which is 1 at 0."""
     return jnp.where(z < jnp.finfo(z.dtype).eps / 2, 1, log1p(z) / or_one(z))
 
 
@@ -221,8 +221,8 @@ def set_luminance(
 
     Args:
         image: (..., channels) relative.
-        luminance: (...) of the image, relative or in any unit; up to 1e-19 in float32 it is black,
-            and black stays black.
+        luminance: (...) of the image, relative or in any unit. Values up to 1e-19 in float32 count
+            as black, and black stays black.
         wanted: (...) in the unit of `luminance`.
 
     Returns:

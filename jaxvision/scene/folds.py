@@ -4,15 +4,15 @@ import numpy as np
 
 from .lenses import Distortion
 
-_STEEPEST = 20.0  # largest slope of a ray that is looked at, 87 degrees
+_STEEPEST = 20.0  # largest slope of the rays that are checked, 87 degrees
 
 
 def folded_share(
     lens: Distortion, pitch: float, resolution: tuple[int, int], *, ideal: bool = False
 ) -> float:
-    """Return the share of the pixels beyond the fold, from 0 to 1: no light falls there, or, with
-    `ideal`, in a picture without distortion, light that the lens images to another pixel. `pitch`
-    is in units of the image distance."""
+    """Return the share of the pixels beyond the fold, from 0 to 1. No light reaches these pixels.
+    With `ideal`, pixels of a picture without distortion are counted: those whose ray is beyond the
+    fold. `pitch` is in units of the image distance."""
     p1, p2 = (0.0, 0.0) if lens.tangential is None else np.asarray(lens.tangential, float)
     rays, directions = (501, 120) if p1 or p2 else (4001, 1)
     slopes = np.tan(np.linspace(0, np.arctan(_STEEPEST), rays))

@@ -18,7 +18,7 @@ from ..core._types import (
     print_by_name,
 )
 
-# Largest obstruction; with a thinner ring the aperture is closed.
+# Largest obstruction; above it, the ring is so thin that the aperture counts as closed.
 _WIDEST_STOP = 1 - 1e-6
 
 
@@ -36,7 +36,7 @@ class PolygonalAperture(Shown):
 
     Attributes:
         blades: number of sides, >= 3; static.
-        angle: () rad, of one corner from the camera's right towards down; None for 0.
+        angle: () rad, from the camera's right axis towards down to one corner; None for 0.
 
     Example:
         >>> square = jv.PolygonalAperture(blades=4)  # its diagonal is the diameter
@@ -124,9 +124,9 @@ class Diffraction(Shown):
 
     Attributes:
         wavelength: () or (bands,) m, > 0.
-        size: side of the kernel in pixels, odd (in samples where a sensor's aperture is
-            oversampled); static. Light beyond it is added to the kernel; `optics.airy_kernel`
-            states how much that is.
+        size: side of the kernel in pixels, odd (in samples if the pixel aperture is oversampled);
+            static. Light outside the kernel is added to its pixels; `optics.airy_kernel` states the
+            amount.
 
     Example:
         A star spreads over its neighbours, and no light is lost.
@@ -149,14 +149,15 @@ class Diffraction(Shown):
 
 
 class Wavefront(Shown):
-    """Aberrations of a lens and the diffraction at its aperture of any shape, the same over the
+    """Aberrations of a lens, with the diffraction at its aperture of any shape, equal over the
     whole picture. If all coefficients are 0 and the aperture is round, the result equals
     `Diffraction`. Large coefficients give the spot of geometrical optics.
 
     Attributes:
         coefficients: (terms,) m, of Noll's Zernike terms 1, 2, ...; `optics.zernike` names them.
         wavelength: () or (bands,) m, > 0; (bands, lines) for bands of several equal lines.
-        size: side of the kernel in pixels, odd; static. Light beyond it is added to the kernel.
+        size: side of the kernel in pixels, odd; static. Light outside the kernel is added to its
+            pixels.
         order: nodes per side of a pixel; static.
         samples: nodes along and across the pupil; static. `optics.wavefront_kernel` says how many
             are needed.

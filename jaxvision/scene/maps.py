@@ -28,8 +28,8 @@ class Map(Shown, Varying):
     z axis, and v = theta / pi the angle to this axis.
 
     Attributes:
-        values: (rows, columns, ...) in the unit of the field that they replace: (rows, columns,
-            bands) for a spectrum, (rows, columns) for one number.
+        values: (rows, columns, ...) in the unit of the replaced field: (rows, columns, bands) for a
+            spectrum, (rows, columns) for one number.
         uv: (2, 3) no unit, maps the shape's (u, v, 1) to the map's (u, v); (2, 4) maps (x, y, z, 1)
             of a point in the world, m, and suits any shape; None for the shape's own coordinates.
         wrap: continuation beyond the map: "repeat" tiles it, "clamp" extends its border; static.

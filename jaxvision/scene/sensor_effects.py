@@ -36,13 +36,13 @@ class SensorEffect(Shown):
 class Mixing(SensorEffect):
     """Linear mixing of the signals of neighbouring pixels after electrons are counted.
 
-    Because of capacitance between pixels, or a slowly settling amplifier, a share of a pixel's
-    signal is read in its neighbours. Unlike `Sensor.crosstalk`, mixing acts on counted electrons.
+    Because of capacitance between pixels, or an amplifier that settles slowly, a share of a pixel's
+    signal appears in its neighbours. Unlike `Sensor.crosstalk`, mixing acts on counted electrons.
     Mixing therefore multiplies the variance of a pixel by sum(kernel^2), and correlates neighbours.
 
     Attributes:
-        kernel: (rows, columns) no unit, both odd: the shares in which the electrons of the middle
-            pixel are distributed. Its sum is 1.
+        kernel: (rows, columns) no unit, both odd: the shares of the middle pixel's electrons that
+            each pixel receives. The sum is 1.
 
     Example:
         >>> shares = [[0.0, 0.02, 0.0], [0.02, 0.92, 0.02], [0.0, 0.02, 0.0]]

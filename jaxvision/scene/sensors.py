@@ -138,10 +138,10 @@ class BrighterFatter(Shown):
 
     The collected charge Q moves the borders of pixels. The current (I_p + I_q) (phi_p - phi_q) / 2
     therefore flows across the border between the pixels p and q. Here I is the rate at which charge
-    arrives, K the kernel, and phi = K * Q a convolution. No electron is lost. In uniform light this
-    model is that of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629 A36, 2019).
-    The relative change of a pixel's area per electron, a, is the discrete Laplacian of K
-    (`jaxvision.sensor.area_changes`). K is the kernel of Coulton et al. (AJ 155 258, 2018).
+    arrives, K the kernel, and phi the convolution of K with Q. No electron is lost. In uniform
+    light this model is that of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A 629
+    A36, 2019). The relative change of a pixel's area per electron, a, is the discrete Laplacian of
+    K (`jaxvision.sensor.area_changes`). K is the kernel of Coulton et al. (AJ 155 258, 2018).
 
     Attributes:
         kernel: (rows, columns) per electron, K at offsets of 0, 1, ... rows and columns, even in
@@ -220,7 +220,7 @@ class RollingShutter(Shown):
 
 
 class ShutterOffset(Shown):
-    """The difference between the actual exposure to light and the nominal exposure time.
+    """The difference between the actual and the nominal exposure time.
 
     Attributes:
         time: () s, added to the exposure time of light, but not of dark current; may be negative.
@@ -322,9 +322,9 @@ class Sensor(Shown):
     Attributes:
         photon_conversion: conversion of irradiance to photons; None for input in photons per pixel
             and second, or per pixel and exposure without an `exposure_time`.
-        light_offset: () or (bands,) photons per pixel that reach the sensor with each exposure in
+        light_offset: () or (bands,) photons per pixel that reach the sensor in each exposure, in
             addition to the input; may be negative. The offset also describes an exposure that is
-            longer than stated. For a frame behind a closed shutter, set it to None.
+            longer than stated. For a frame with a closed shutter, set it to None.
         infrared_cut: (bands,) transmission of a filter in front of the sensor, in [0, 1], no unit.
         quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
         colour_filter: filter over each pixel; None if every pixel measures every band.
@@ -333,8 +333,8 @@ class Sensor(Shown):
         exposure_time: () s, >= 0; None for input in counts per exposure.
         crosstalk: () share of a pixel's electrons that drift to each of its four neighbours, in [0,
             1/4], no unit.
-        smear: () time that a CCD's charge spends under each other row while the frame is shifted,
-            divided by the exposure time; >= 0, no unit.
+        smear: () >= 0, no unit: the time that a CCD's charge spends under each other row while the
+            frame is shifted, divided by the exposure time.
         prnu: () relative rms of the pixels' sensitivities, in [0, 0.5], no unit (1 % is 0.01).
         dead_pixels: () fraction of the pixels that do not respond to light, in [0, 1], no unit.
         dark_current: () e- s^-1 per pixel, >= 0, or its temperature law. Dark electrons are counted

@@ -30,7 +30,7 @@ class Material(Shown):
     Attributes:
         spectra: names of the fields that are spectra, one number for each band. A class sets it; a
             `Scene` then checks that all have the same number of bands.
-        neutral_spectra: names of spectra that may also be neutral, with one band, in any scene.
+        neutral_spectra: names of spectra that may also have a single value for all bands.
         takes_maps: whether a `Map` may replace the numbers of a field.
 
     Example:
@@ -51,7 +51,7 @@ class Surface(Shown):
         material: reflectance model of the surface; any of its parameters may be a `Map`.
         emission: (bands,) radiance of its front, equal in all directions, W m^-2 sr^-1, or None.
         two_sided: whether both sides are fronts, with the normal flipped towards the viewer;
-            otherwise a surface is black from behind. Static.
+            otherwise the back is black. Static.
         normals: a `Map` of (3,) shading normals of any length, or None. The x axis points along
             growing u, the z axis along the shape's normal n, and the y axis along n x x. On a mesh
             the y axis points to decreasing v, up in the picture, even if its texture coordinates

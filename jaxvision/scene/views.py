@@ -154,7 +154,9 @@ class ThinLens(Shown):
 View = Orthographic | Pinhole | ThinLens
 print_by_name(globals(), "View")
 NARROWEST = (
-    1e-6  # rad, of a pixel behind more than 1 m; rays in single precision tell no less apart
+    # Rad, smallest angle of a pixel for a focal length above 1 m; float32 rays resolve no smaller
+    # one
+    1e-6
 )
 
 
@@ -187,7 +189,8 @@ def _check_view(view: View, **ranges: Range) -> None:
 
 
 def _name_folds(name: str, view: Pinhole | ThinLens, distortion: Distortion) -> None:
-    """Warn of pixels beyond the fold of a known distortion of one view."""
+    """Warn if pixels of a single view lie beyond the fold of its distortion. Traced views are not
+    checked."""
     focus = view.focus_distance if isinstance(view, ThinLens) else None
     sizes = view.focal_length, view.pixel_pitch, focus
     if not all(map(is_known, jax.tree.leaves((sizes, distortion)))):
