@@ -57,8 +57,7 @@ class Efficiency:
 def shares(
     values: Float[np.ndarray, " parameters"], codes: np.ndarray, *, dark: bool
 ) -> np.ndarray:
-    """Return the (levels, codes) probability of each code, by a direct sum over the counts of
-    electrons. The parameters `values` are in the order of `NAMES`."""
+    """Return the (levels, codes) probability of each code by a direct sum over electrons."""
     gain, read_noise, black, *electrons = values
     electrons = [*[0.0] * dark, *electrons]
     n = np.arange(200)
@@ -84,8 +83,7 @@ def information(
 def efficiency(
     read_noise: float, simulations: int, *, numbers: int = NUMBERS[0], seed: int = 0
 ) -> Efficiency:
-    """Simulate histograms of `numbers` codes, fit them, and compare the variance of the estimates
-    with the Cramer-Rao bound."""
+    """Simulate and fit histograms; compare the variance of estimates with the bound."""
     gain, dark = GAINS[read_noise], read_noise > HIDING
     truth = np.array([gain, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * gain * read_noise

@@ -51,8 +51,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Simulate one camera and compute its data sheet. Return the cumulative probability of the true
-    value of each figure under the estimate of the sheet."""
+    """Simulate and compute one sheet; return the cumulative probability of each true value."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)
@@ -109,8 +108,7 @@ def _pattern(
 
 
 def _saturation(dark: np.ndarray, response: np.ndarray) -> float:
-    """Return the light, photons per pixel, at which .15 % of the pixels' values are at full
-    scale."""
+    """Return the photons at which .15 % of the pixels' values are at full scale."""
 
     def excess(light: float) -> float:
         electrons = EFFICIENCY * light * response

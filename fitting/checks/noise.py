@@ -75,8 +75,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Simulate and fit once; return the cumulative probability of each true value in its
-    posterior."""
+    """Simulate and fit once; return the cumulative probability of each true value."""
     posterior = calibrate(measured(camera, seed)).posterior
     found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):
@@ -85,8 +84,7 @@ def places(camera: Camera, seed: int) -> np.ndarray:
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Simulate the flats and darks of one camera and return their statistics. The frames have
-    Poisson electrons, noise of pixels, rows, columns and frames, rounding and clipping."""
+    """Simulate one camera's flats and darks, with all its noise; return statistics."""
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest
     exposures = np.linspace(0.001, 0.02, camera.levels)

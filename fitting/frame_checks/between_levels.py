@@ -128,8 +128,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
 
 
 def _step(frames: Sequence[FrameSample]) -> int:
-    """Return the greatest common divisor of the pixel values in some frames; 1 if the values are
-    not whole."""
+    """Return the greatest common divisor of whole pixel values; 1 if they are not whole."""
     values = np.concatenate([frame.sample.ravel() for frame in frames])
     whole = np.isfinite(values).all() and (values == np.floor(values)).all()
     return max(int(np.gcd.reduce(values.astype(np.int64))), 1) if whole else 1
@@ -194,10 +193,7 @@ def _deleted_residuals(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """Return each level's deviation from a weighted fit to all other levels, with the standard
-    deviation of the deviation and the degrees of freedom. The standard deviation comes from the
-    scatter of the other levels, and is at least `least`. If each level has one value, the deviation
-    over its standard deviation has Student's t distribution."""
+    """Return each level's deviation from a fit to all others, its error, and degrees."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)
@@ -256,8 +252,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
 
 
 def noise_of_levels(levels: ComparedLevels) -> None:
-    """Remove levels whose variance per signal is higher, or lower, than at both neighbouring
-    levels."""
+    """Remove levels whose variance per signal is a peak or dip among its neighbours."""
     there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return
@@ -283,9 +278,7 @@ def _neighbour_mean(values: np.ndarray, place: int) -> float:
 
 
 def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
-    """Return the positions of values that are above both neighbours, or below both, significantly
-    and by more than `size`. The position of the largest deviation comes first. A value found in
-    this way is left out before its neighbours are tested."""
+    """Return positions of significant peaks and dips beyond `size`, the largest first."""
     left, found = list(range(len(values))), []
     while len(left) > 2:
         own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))
@@ -301,8 +294,7 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
 
 
 def _find_exchange(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
-    """Return the index of the level whose frames were probably exchanged with the frames of the
-    given level; None if there is no such level."""
+    """Return the level whose frames were probably exchanged with these; None without."""
     rates = signal / light
     usual = float(np.median(rates))
     for other in range(len(light)):

@@ -85,8 +85,7 @@ class ComparedLevels:
         return float(self.noise[level]) * float(np.sqrt(2 / max(self.sample_size(level), 1)))
 
     def scale(self, level: int) -> float:
-        """Return the scale, in DN, by which deviations at a level are divided: the signal for
-        flats, the noise for darks."""
+        """Return the unit of deviations at a level: signal for flats, noise for darks, DN."""
         if self.black is None:
             return float(max(self.noise[level], 0.1))
         middle = self.means([level])[0]
@@ -99,8 +98,7 @@ class ComparedLevels:
         return max(UNEVEN * self.scale(level), HALF * self.noise[level])
 
     def blocks(self, level: int, frame: FrameSample) -> Float[np.ndarray, "rows columns"]:
-        """Return the means of a frame's blocks minus the frame's mean, divided by the signal for
-        flats and by the noise for darks."""
+        """Return means of blocks less the frame's, over signal (flats) or noise (darks)."""
         sample = frame.sample.astype(float)
         edges = [np.linspace(0, n, min(BLOCKS, n) + 1)[:-1].astype(int) for n in sample.shape]
         sums = np.add.reduceat(np.add.reduceat(sample, edges[0], 0), edges[1], 1)
@@ -116,8 +114,7 @@ class ComparedLevels:
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
-        """Return the mean of this level, DN, interpolated from the other levels; None if there are
-        fewer than two other levels."""
+        """Return the mean interpolated from two or more other levels, DN; else None."""
         others = [
             i for i in self.comparable_levels(level) if self.black is None or self.light[i] > 0
         ]
@@ -140,8 +137,7 @@ class ComparedLevels:
         self.frames[level] = [one for i, one in enumerate(frames) if i not in gone]
 
     def drop_single_frames(self) -> None:
-        """Remove levels with only one frame left, because a single frame gives no temporal
-        variance."""
+        """Remove levels of one frame, which gives no temporal variance."""
         for level, frames in enumerate(self.frames):
             if len(frames) == 1:
                 self.remove(level, ALONE)
@@ -150,8 +146,7 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """Return the temporal noise of a pixel at each level, DN rms. At a level of two frames, of
-    which one may deviate, the noise is limited to twice the noise at other levels."""
+    """Return a pixel's noise by level, DN rms; for pairs at most twice that of others."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)
@@ -162,8 +157,7 @@ def _noise_of_levels(
 
 
 def trimmed_variance(residuals: np.ndarray) -> float:
-    """Return the mean square deviation from the median, without the largest 2 % of the squared
-    deviations."""
+    """Return the mean square about the median, without the largest 2 % of squares."""
     squares = (residuals - np.median(residuals)).ravel().astype(float) ** 2
     if squares.size >= FEWEST_TRIMMED:
         count = int(TRIMMED * squares.size)

@@ -23,8 +23,7 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation: at most for another scene, at least
 def odd_exposures(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> list[OddFrames]:
-    """Return the images to leave out: copies, images of another scene, and images that are darker
-    than a shorter exposure."""
+    """Return copies, images of another scene, and images in the wrong order to leave out."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -49,8 +48,7 @@ def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
 def refuse_toned(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> None:
-    """Raise InputError if all images are equally bright although their exposures differ. The camera
-    or a raw converter has then adjusted the brightness of each image."""
+    """Refuse images made equally bright although their exposures differ."""
     seconds, rises = np.asarray(times, float), []
     fixed = np.zeros(frames[0].sample.shape, bool) if frames else np.zeros(0, bool)
     if len({frame.sample.shape for frame in frames}) == 1:  # bars and overlays
@@ -75,8 +73,7 @@ def refuse_toned(
 def _clear(
     frames: Sequence[FrameSample], i: int, j: int, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the codes of two images at the sampled pixels that are neither black nor saturated in
-    either image."""
+    """Return the codes of two images at sampled pixels that neither clips."""
     one, other = frames[i].sample, frames[j].sample
     if one.shape != other.shape:
         return np.zeros(0), np.zeros(0)
@@ -89,8 +86,7 @@ def _clear(
 def _copied_exposures(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return the images that equal another image in every sampled pixel, with the reason for a
-    report."""
+    """Return the images that equal another in every sampled pixel, with the reason."""
     copies = Copies()
     for i in left:
         copies.add(frames[i].name, frames[i].sample)
@@ -101,8 +97,7 @@ def _copied_exposures(
 def _other_scene_images(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return the images whose order of pixels by brightness agrees with no other image, with the
-    reason. Return no images unless most images agree with at least one other image."""
+    """Return images that correlate with no other where most do, with the reason."""
     alike = np.full((len(frames), len(frames)), np.nan)
     for i, j in combinations(left, 2):
         one, other = _clear(frames, i, j, full_scale)
@@ -151,8 +146,7 @@ def _find_disordered(
 def _darker(
     frames: Sequence[FrameSample], left: list[int], full_scale: float
 ) -> Bool[np.ndarray, "frames frames"]:
-    """Return a matrix that is true at (i, j) where image i is darker than image j at most pixels
-    that are unclipped in both."""
+    """Return a matrix: whether image i is darker than j at most unclipped pixels."""
     found = np.zeros((len(frames), len(frames)), bool)
     for i, j in combinations(left, 2):
         one, other = frames[i].sample, frames[j].sample
@@ -170,7 +164,6 @@ def _darker(
 def _contradictions(
     darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Return the (shorter, longer) pairs of exposures in which the longer exposure gives the darker
-    image."""
+    """Return (shorter, longer) pairs of which the longer gives the darker image."""
     longer = times[None, :] > LONGER * times[:, None]
     return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

@@ -54,14 +54,12 @@ def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> F
 
 
 def listed(names: Sequence[str]) -> str:
-    """List names for a sentence. Of more than four names, only the first three are listed, with the
-    number of the others."""
+    """List names for a sentence: the first three of more than four, and a count."""
     return all_listed([*names] if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
 def refuse_half(where: str | Path, odd: Sequence[OddFrames], count: int) -> None:
-    """Raise InputError if at least half of the frames would be left out, because the user must then
-    decide which frames are correct."""
+    """Refuse a series of which half the frames would be left out: the user must decide."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]

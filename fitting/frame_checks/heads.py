@@ -29,8 +29,7 @@ class Stated:
 
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFrames], list[str]]:
-    """Return the frames of one gain and temperature whose metadata contradict the rig or the
-    majority of frames, and remarks for the report."""
+    """Return frames whose metadata contradict the rig or the majority, and remarks."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
     groups: dict[int, list[Stated]] = {}
@@ -53,8 +52,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
 
 
 def different_settings(paths: Sequence[Path]) -> str:
-    """Return in words the exposures and gains that differ between files, by their metadata, such as
-    "exposure 0.01 s to 0.02 s, ISO 100 to 400"; "" for none."""
+    """Return exposures and gains that differ between files by metadata; "" for none."""
     said, words = [_settings(path) for path in paths], []
     exposure: tuple[str, Callable[[Any], str]] = ("exposure", lambda t: f"exposure {t:.4g} s")
     for key, in_words in (exposure, *_UNIFORM, _OF_A_GROUP[1]):
@@ -65,8 +63,7 @@ def different_settings(paths: Sequence[Path]) -> str:
 
 
 def _settings(path: Path) -> ImageSettings:
-    """Read the metadata of a file; empty if the file has no metadata or is unreadable. An
-    unreadable file is refused later, when its pixels are read."""
+    """Read a file's metadata; empty if there are none, or if it is unreadable."""
     try:
         return read_settings(path) if path.is_file() else ImageSettings()
     except InputError:
@@ -74,8 +71,7 @@ def _settings(path: Path) -> ImageSettings:
 
 
 def series_times(paths: Sequence[Path]) -> np.ndarray | None:
-    """Return the times at which files were taken, s since the first of them, by their metadata;
-    None if a file has none, or if all have the same."""
+    """Return the times when files were taken, s since the first; None if unknown."""
     taken = [_settings(path).taken for path in paths]
     if not taken or any(one is None for one in taken):
         return None
@@ -102,8 +98,7 @@ def _are_equal(one: Any, other: Any) -> bool:
 def _minority(
     where: str | Path, values: Mapping[str, Any], in_words: Callable[[Any], str]
 ) -> dict[str, str]:
-    """Return, by name, the frames whose metadata differ from the majority, with the reason. Raises
-    InputError if there is no majority."""
+    """Return frames whose metadata differ from the majority's, with the reason."""
     if len(values) < 2:
         return {}
     votes = {name: sum(_are_equal(own, x) for x in values.values()) for name, own in values.items()}

@@ -51,8 +51,7 @@ def odd_frames(
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
 ) -> list[OddFrames]:
-    """Return two kinds of frame to leave out: frames that differ from the other frames of their
-    level, and all frames of levels that differ from their neighbouring levels."""
+    """Return frames that differ from their level, and frames of levels that stand out."""
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
@@ -68,14 +67,12 @@ def odd_frames(
 
 
 def _scatter(distances: Sequence[float]) -> float:
-    """Return the standard deviation of frames about their mean, from the lower quartile of pairwise
-    differences. This estimate is robust even if most pairs contain a deviating frame."""
+    """Return the frames' deviation from a lower quartile of pairwise differences."""
     return PAIRS * float(np.quantile(distances, 0.25)) if len(distances) else 0.0
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return all pairs of frames if there are fewer than 24 frames, else only pairs of successive
-    frames."""
+    """Return all pairs of fewer than 24 frames, else those of successive frames."""
     return list(combinations(range(count), 2) if count < 24 else pairwise(range(count)))
 
 
@@ -177,8 +174,7 @@ def _take(
     far: Bool[np.ndarray, " frames"] | None,
     in_words: Callable[[list[FrameSample], list[FrameSample]], str],
 ) -> None:
-    """Remove the frames of a level that a mask (`far`) marks, or all frames of the level if the
-    mask is None."""
+    """Remove the frames that a mask `far` marks, or all frames if it is None."""
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"

@@ -25,8 +25,7 @@ MOST_FRAMES = 24  # frames up to which all pairs are compared
 
 
 def moved_frames(levels: ComparedLevels) -> None:
-    """Remove frames that differ from the other frames of their level by a pattern that also occurs
-    at other levels."""
+    """Remove frames that differ from their level by a pattern that other levels share."""
     if levels.black is None:
         return
     samples = {
@@ -60,8 +59,7 @@ def moved_frames(levels: ComparedLevels) -> None:
 
 
 def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
-    """Return the difference between the means of the first two groups, without flicker bands, as a
-    vector of norm 1."""
+    """Return the groups' difference of means without flicker bands, of norm 1."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
     field = subtract_line_means((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
@@ -101,8 +99,7 @@ def _group_frames(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | 
 def _leave_out(
     levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
 ) -> None:
-    """Remove all frames of each level except those of its largest group. At a level of two frames,
-    remove both frames."""
+    """Remove all frames but the largest group's of each level, and both of a pair."""
     gone: dict[bool, list[str]] = {True: [], False: []}
     example = ""
     for level in sorted(groups):

@@ -50,8 +50,7 @@ def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
 def fitted_area_changes(
     measurement: PhotonTransfer, usable: np.ndarray, fit: LikelihoodFit
 ) -> AreaChanges | None:
-    """Fit the closed form of Astier et al. (2019) to the covariances of all levels; None if the
-    covariances of neighbouring pixels are unknown."""
+    """Fit the form of Astier et al. (2019) to the covariances; None if these are unknown."""
     above = above_dark(measurement)
     if above is None:
         return None
@@ -73,8 +72,7 @@ def fitted_area_changes(
 def _fit_area_changes(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
-    """Fit the a_ij at fixed a_00, and return their values and standard errors. If the model
-    includes linear mixing, a term proportional to mu is also fitted at each offset."""
+    """Fit the a_ij, and with `mixing` terms in mu, at fixed a_00; return a_ij and errors."""
     size = (LARGEST_LAG + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
@@ -101,8 +99,7 @@ def _fit_area_changes(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured area changes
-    best."""
+    """Return the kernel, scaled to a_00 = -1, whose area changes fit the measured ones best."""
     weight = np.sqrt(np.maximum(COPIES, 1))
     of_kernel = np.asarray(jax.jacfwd(area_changes)(jnp.zeros((LARGEST_LAG, LARGEST_LAG))))
     design = (weight[:, :, None, None] * of_kernel).reshape(weight.size, -1)
@@ -116,8 +113,7 @@ def fitted_effect(
     values: dict[str, Array],
     top: Array | np.ndarray,
 ) -> BrighterFatter | None:
-    """Return the fitted brighter-fatter effect as a field of a `Sensor`; None if this effect was
-    not fitted."""
+    """Return the fitted brighter-fatter effect of a `Sensor`; None if it was not fitted."""
     if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top

@@ -74,8 +74,7 @@ from .window import needed_window, offset_data
 def extra_in_flats(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, Found]:
-    """Return the row noise and the column noise by which flats exceed darks, if the excess is
-    significant."""
+    """Return the row and column noise by which flats significantly exceed darks."""
     found = {
         name: extra_lines(measurement.bright, measurement.dark, usable, axis)
         for axis, name in enumerate(LINES)
@@ -84,8 +83,7 @@ def extra_in_flats(
 
 
 def subtract_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """Return the measurement with the row and column noise of its flats reduced to the row and
-    column noise of its darks."""
+    """Return the measurement with the row and column noise of its flats cut to the darks'."""
     bright = measurement.bright
     if not flicker or bright.shared is None:
         return measurement
@@ -180,8 +178,7 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def gain(self) -> float:
-        """The gain K, DN/e-, as in the report's table: by the likelihood, or by the standard's
-        regression if the likelihood has no maximum."""
+        """The gain K, DN/e-, by the likelihood, else by the standard's regression."""
         estimate = self.estimates.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
         return of_standard if estimate is None or estimate.value is None else estimate.value
@@ -302,8 +299,7 @@ def calibrate(
 
 
 def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> NoiseCalibration:
-    """Return the calibration with `terms` added to the chosen model. A model that lacks any of
-    these terms is fitted again with Laplace's approximation."""
+    """Return the calibration, fitted again with these terms if its model lacks any."""
     chosen, likelihood = calibration.chosen, calibration.likelihood
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
@@ -315,8 +311,7 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
 
 
 def _replace_rounded_dsnu(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
-    """Return the fixed pattern. If rounding distorts the measured DSNU, the DSNU is the estimate by
-    the likelihood."""
+    """Return the fixed pattern; the likelihood's DSNU replaces one that rounding distorts."""
     labels = names(posterior.space)
     if OFFSET_SPREAD.name not in labels:
         return pattern
@@ -329,9 +324,7 @@ def _replace_rounded_dsnu(pattern: PatternVariance, posterior: Posterior) -> Pat
 
 
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
-    """Return the posterior of the chosen model. If the model has a random scatter of levels, the
-    mode of the posterior is searched again, because the prior of the scatter shifts it from the
-    maximum of the likelihood."""
+    """Return the posterior of the chosen model, whose mode the prior of a scatter may shift."""
     vector, covariance = fit.optimum.vector, fit.inflation * fit.covariance
     problem = posterior_problem(fit)
     if problem.inputs.jeffreys:
@@ -347,8 +340,7 @@ def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posteri
 def _likelihood_estimates(
     fit: LikelihoodFit, posterior: Posterior, within: Ranges, usable: np.ndarray
 ) -> tuple[Estimate, ...]:
-    """Return the data sheet of the chosen model, with errors by the delta method (Laplace) or from
-    the posterior draws (emcee)."""
+    """Return the data sheet of the chosen model, with errors by the delta method or draws."""
     args = (fit.space, fit.data, _range_of_linearity(fit, within, usable))
     if posterior.sampled:
         return _estimates_from_draws(posterior, within, args)
@@ -386,8 +378,7 @@ def steady_linearity(calibration: NoiseCalibration) -> tuple[float, float]:
 
 
 def widened(estimate: Estimate, unequal: float) -> Estimate:
-    """Return an estimate whose error includes the effect of the unequal gains of pixel classes,
-    `unequal` relative rms."""
+    """Return an estimate whose error includes the unequal gains of pixel classes."""
     if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
         return estimate
     error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
@@ -427,8 +418,7 @@ def _means(values: dict[str, Array], data: NoiseData) -> Array:
 def _widened_by_lamp(
     sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
 ) -> tuple[Estimate, ...]:
-    """Return the data sheet with the error of a drifting lamp added to the figures per photon. The
-    linearity errors of a fit with a drift already include the uncertainty of the drift."""
+    """Return the data sheet with the error of a drifting lamp in figures per photon."""
     relative = 0.0 if fit is None else lamp_error(fit)
     if not relative:
         return sheet
@@ -442,16 +432,14 @@ def _widened_by_lamp(
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:
-    """Return the read noise, e-, below which only an upper limit can be given because of rounding.
-    Return 0 if read noise is large enough for rounding to be negligible."""
+    """Return the read noise, e-, below which rounding leaves only an upper limit; else 0."""
     if fit.data.window is None:
         return 0.0
     return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
 
 
 def _limit_read_noise(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
-    """Return the data sheet. If rounding hides the read noise, its value is replaced by an upper
-    limit."""
+    """Return the data sheet; a read noise that rounding hides becomes an upper limit."""
     finest, found = finest_read_noise(fit), []
     for one in sheet:
         low, high = one.interval_95 or (0.0, 0.0)
@@ -465,8 +453,7 @@ def _limit_read_noise(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[
 
 @compiled_briefly
 def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tuple[dict, dict]:
-    """Return the figures of the data sheet, and the derivatives of each figure with respect to the
-    parameters and to the saturation point."""
+    """Return the sheet and its derivatives by parameters and by the saturation point."""
     slopes = jax.jacfwd(likelihood_sheet, argnums=(0, 1))(mode, saturation, args)
     return likelihood_sheet(mode, saturation, args), slopes
 
@@ -494,8 +481,7 @@ def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
 
 
 def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> float:
-    """Return the gain that the standard's regression gives for the means and variances that the
-    fitted model predicts."""
+    """Return the gain of the standard's regression on moments of the fitted model."""
     predicted = eqx.filter_jit(predicted_moments)
     moments = predicted(fit.values, fit.data, fit.data.light)
     unlit_data = eqx.tree_at(lambda data: data.lit, fit.data, jnp.zeros_like(fit.data.lit))
@@ -507,6 +493,5 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """Return a figure of the data sheet as an estimate. The intervals are symmetric in the value,
-    or in its logarithm if the figure must be positive."""
+    """Return a figure with intervals, symmetric in its logarithm if it must be positive."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

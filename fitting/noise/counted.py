@@ -54,8 +54,7 @@ PLACES = 8  # most classes of the pixels' black level between two codes
 
 
 def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
-    """Return the bright levels for which histograms of codes are made, or the reason why there are
-    none."""
+    """Return the bright levels for which histograms are made, or why there are none."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     signal, excess = signal_of(measurement)[usable], shot_of(measurement)[usable]
@@ -168,8 +167,7 @@ class CodeFit:
     failures: tuple[str, ...]  # why the fit is not used, in sentences; empty where it is used
 
     def counted_levels(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
-        """Return the result as an input of the likelihood of photon transfer with the bright levels
-        `usable`; None if the fit failed."""
+        """Return the result as data at the `usable` levels; None if the fit failed."""
         if self.failures:
             return None
         place = np.searchsorted(usable, self.levels)
@@ -184,8 +182,7 @@ class CodeFit:
 def counts_problem(
     measurement: PhotonTransfer, tables: CodeTables
 ) -> tuple[Problem, dict[str, np.ndarray]]:
-    """Return the problem for histograms of codes, and the starting point of its fit, from means and
-    variances."""
+    """Return the problem for histograms of codes, and its start from means and variances."""
     dark, converter = measurement.dark, measurement.converter
     levels, level = np.unique(np.asarray(tables.level), return_inverse=True)
     darks, of = np.unique(np.asarray(tables.dark), return_inverse=True)
@@ -274,9 +271,7 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
 
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
-    """Return the dark signal of each dark in DN, from a line through their means over exposure.
-    With fewer than three exposures the result is 0, and the fit treats the noise of dark electrons
-    as read noise. The likelihood of means and variances does the same."""
+    """Return the dark signal of each dark, DN, by a line; 0 with fewer than 3 exposures."""
     dark = measurement.dark
     exposure, mean = np.asarray(dark.exposure), np.asarray(dark.mean)
     if len(np.unique(exposure)) < TREND:

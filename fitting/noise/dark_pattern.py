@@ -60,8 +60,7 @@ def share_of_pattern(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[float, float] | None:
-    """Return c and its standard error, by which errors of a pixel may be shared among levels; None
-    where the darks show no pattern."""
+    """Return c and its standard error; None where the darks show no pattern."""
     usable, of_dark = linear_levels(measurement), np.asarray(measurement.dark_of)
     fine = float(np.min(np.asarray(measurement.dark.variance))) > 2 * least_dark_variance(
         measurement

@@ -93,8 +93,7 @@ def multiplied(
 
 
 def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[float, float]:
-    """Return the third cumulant over the pixels of a frame, averaged over frames, DN^3, and its
-    standard error."""
+    """Return the third cumulant over a frame's pixels, DN^3, and its standard error."""
     apart = [frame.sample - frame.sample.mean(dtype=float) for frame in frames]
     found = float(np.mean([np.vdot(one * one, one) / one.size for one in apart]))
     return found, float(np.sqrt(6 * variance**3 / sum(one.size for one in apart)))
@@ -134,8 +133,7 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
 
 
 def _warming(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """Return the mean drift while a lamp warms up. Return None if the changes within the levels do
-    not follow an exponential decay. Changes of random light do not follow one."""
+    """Return the mean drift if the changes within levels decay exponentially, as in warming up."""
     shares = _shares_of(measurement, usable)
     if shares is None:
         return None
@@ -156,8 +154,7 @@ def _warming(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
 def _shares_of(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return, for each level, the relative change of the signal from one frame to the next, the
-    variance of this change by the noise of pixels, and the number of frames; None if unknown."""
+    """Return each level's relative change between frames, its variance, and the frames."""
     bright = measurement.bright
     if bright.trend is None or len(usable) < FEWEST_DRIFTING:
         return None
@@ -172,8 +169,7 @@ def _shares_of(
 
 
 def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """Return the mean change of the flats' signal from frame to frame within the levels; None where
-    it is unknown."""
+    """Return the mean change of the signal from frame to frame; None where it is unknown."""
     found = _shares_of(measurement, usable)
     if found is None:
         return None
@@ -192,8 +188,7 @@ FEWEST_TIMES = 6
 def printed_times(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, str | float] | None:
-    """Return the numbers for the finding on exposure times that were rounded for display; None if
-    the times are exact."""
+    """Return the numbers for the finding on rounded exposure times; None if they are exact."""
     times = np.asarray(measurement.bright.exposure)[usable]
     signal = signal_of(measurement)[usable]
     if measurement.photons_known or len(times) < FEWEST_TIMES or np.any(times * signal <= 0):
@@ -244,8 +239,7 @@ def doubts(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
-    """Run the checks and return the resulting doubts. Each doubt names the figures that must not be
-    reported."""
+    """Run the checks and return the doubts, each with the figures not to be reported."""
     found = (
         _fading(measurement, darks),
         multiplied(measurement, flats, darks),
@@ -256,8 +250,7 @@ def doubts(
 
 
 def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
-    """Return a doubt if the darks decrease from frame to frame in proportion to the signal of the
-    flats at the same level."""
+    """Return a doubt if darks fade from frame to frame in proportion to their flats' signal."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
     signal = signal_of(measurement)
     there = [i for i in range(len(darks)) if (matched == i).any()]
@@ -324,9 +317,7 @@ def _step(
     errors: Float[np.ndarray, " levels"],
     levels: Int[np.ndarray, " levels"],
 ) -> _Step | None:
-    """Find a level at which a positive quantity jumps from one nearly constant value to another,
-    and return the two groups of levels; None if there is no such step. `errors` are the relative
-    standard errors of the values, and `levels` the indices of the levels."""
+    """Find a level at which a quantity jumps between two nearly constant values, or None."""
     best, place, logs = np.inf, None, np.log(values)
     for i in range(2, len(logs) - 1):
         left = float(sum(np.sum((part - part.mean()) ** 2) for part in (logs[:i], logs[i:])))

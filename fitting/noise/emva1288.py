@@ -154,16 +154,14 @@ def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> She
 def _dark_variance(
     stats: Statistics, measurement: PhotonTransfer, within: Ranges
 ) -> tuple[Array, Array | float]:
-    """Return the dark variance sigma_y.dark^2 at zero exposure, DN^2, and its slope over
-    exposure."""
+    """Return the dark variance at zero exposure, DN^2, and its slope over exposure."""
     if within.dark_exposures > 2:
         return line(measurement.dark.exposure, stats.dark_variance)
     return stats.dark_variance[0], 0.0
 
 
 def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
-    """Return whether the measured dark noise is below the standard's minimum, so that figures which
-    depend on it are only bounds."""
+    """Return whether dark noise is below the standard's minimum, so that figures are bounds."""
     found, _ = _dark_variance(statistics(measurement, None), measurement, within)
     return float(found) < least_dark_variance(measurement)
 
@@ -218,9 +216,7 @@ def derived_figures(
 def linearity_errors(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the smallest and the largest relative deviation of the signal from a line, in per
-    cent. The line is the one that minimises the sum of (deviation / signal)^2.
-    """
+    """Return the least and the largest relative deviation from the linearity line, per cent."""
     deviation = linearity_deviation(light, signal, within)
     return (
         jnp.min(jnp.where(within, deviation, jnp.inf)),
@@ -231,8 +227,7 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Return the relative deviation of each level from the linearity line, in per cent; NaN if
-    fewer than three levels are in the range."""
+    """Return deviations from the linearity line, per cent; NaN for fewer than 3 levels."""
     enough = jnp.sum(within) >= FEWEST_FOR_LINE
     within = within | ~enough
     safe = jnp.where(within, signal, 1)
@@ -291,8 +286,7 @@ def _sampling(
     gain: Array,
     shared: SharedNoise | None,
 ) -> tuple[SamplingErrors, SamplingErrors, Float[Array, "4"]]:
-    """Return the sampling errors of the bright and the dark levels, and the four factors by which
-    the errors were inflated because a regression has a significant misfit."""
+    """Return the sampling errors of bright and dark levels, and the factors in them."""
     shot = _shot_variance(stats, measurement)
     bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
     unlit = jnp.zeros_like(stats.dark_mean)

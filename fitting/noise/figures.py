@@ -66,8 +66,7 @@ def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
 
 
 def photon_transfer_figure(calibration: NoiseCalibration) -> "Figure":
-    """Draw the photon transfer curve, variance against mean on logarithmic axes, with a second
-    panel of the residuals."""
+    """Draw variance against mean on logarithmic axes; below, the residuals."""
     measurement = calibration.measurement
     signal, shot = signal_of(measurement), shot_of(measurement)
     gain = float(calibration.standard.values["system_gain"])

@@ -45,8 +45,7 @@ LEAST_OFFSET_SIGMAS = 2.0  # standard errors below which an offset of the light 
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
-    """Return the findings that apply to a calibration, as sentences, the most consequential
-    first."""
+    """Return the findings that apply to a calibration, the most consequential first."""
     return evaluate_findings(FINDINGS, calibration)
 
 
@@ -66,16 +65,14 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
 
 
 def processing(calibration: NoiseCalibration) -> list[str]:
-    """Return sentences on how the files were processed (compressed, denoised or resized); none for
-    raw frames."""
+    """Return sentences on compressed, denoised or resized files; none for raw frames."""
     sentences = processing_in_words(calibration.measurement, calibration.usable)
     no_sensor = "No sensor file is written: it would describe how these files were processed."
     return [*sentences, no_sensor] if sentences else []
 
 
 def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the quantum efficiency if `kind` applies: too low for a sensor ("low"), impossibly
-    high ("high"), or above 1 within its error ("one"). Else return None."""
+    """Return a quantum efficiency that is too "low", too "high" or above "one"; else None."""
     value = calibration.efficiency
     if value is None:
         return None
@@ -85,8 +82,7 @@ def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
-    """Return the periodic structure, without periods that blocks of a compression or a resizing of
-    the frames explain."""
+    """Return the periodic structure that blocks of a compression do not explain."""
     blocks = compressed_in_words(calibration.measurement, calibration.usable)
     return tuple(
         one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
@@ -94,15 +90,13 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
-    """Return findings on rows, columns, mosaic sites and parts of the frame that differ from each
-    other. The argument `apart` is true if these classes of pixels were calibrated separately."""
+    """Return findings on classes of pixels; `apart` if these were calibrated separately."""
     spacing = 1 if calibration.measurement.pattern is None else 2
     return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart, spacing=spacing)
 
 
 def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None:
-    """Return the `camera.taps` to state for a camera whose pixel classes need separate
-    calibrations. None if the pixels agree, or if the frames are not raw."""
+    """Return the `camera.taps` to state; None if pixels agree or frames are not raw."""
     measurement = calibration.measurement
     if is_no_sensor(calibration):
         return None
@@ -117,8 +111,7 @@ def _quote(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> 
 
 
 def _value_and_error(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
-    """Return the value and standard error of one of the likelihood's parameters, as the report's
-    tables give them."""
+    """Return value and standard error of a parameter, as the report's tables give them."""
     estimate = calibration.estimates[name]
     return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
 
@@ -129,8 +122,7 @@ def _size(calibration: NoiseCalibration, name: str, scale: float = 100) -> str:
 
 
 def _contradictions(calibration: NoiseCalibration) -> tuple[str, ...]:
-    """Return sentences on numbers stated in the rig that differ from the estimates by more than
-    both errors explain."""
+    """Return sentences on numbers of the rig that the estimates contradict."""
     sentences = []
     for key, name, stated, sd in calibration.measurement.stated:
         estimate = calibration.estimates.get(name)
@@ -147,10 +139,7 @@ def _contradictions(calibration: NoiseCalibration) -> tuple[str, ...]:
 
 
 def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on a drift of the light over the series, or None if the
-    finding of this `kind` does not apply. The kinds are a drift alone ("drift"), a drift that
-    cannot be distinguished from a curved response ("either"), and a scatter that is similar at
-    successive levels ("scatter")."""
+    """Return the numbers on a light with a "drift", "either" drift or curve, or a "scatter"."""
     if calibration.likelihood is None:
         return None
     drifts, bends = _has("light_drift", calibration), _has("compression", calibration)
@@ -223,8 +212,7 @@ def _drifting(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _unequal_steps(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on unequal steps of the converter; None unless these steps
-    change the read noise by at least half its error."""
+    """Return unequal steps of the ADC that change the read noise by half its error or more."""
     converter = calibration.measurement.converter
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if not converter.imbalance or read is None or not read.value or not read.standard_error:
@@ -249,8 +237,7 @@ def _two_converters(below: bool, calibration: NoiseCalibration) -> bool:
 
 
 def _linear(fits: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding that a linear camera explains the measurement (`fits`), or
-    does not; None if that finding does not apply."""
+    """Return the test of a linear camera, if it explains the measurement (`fits`) or does not."""
     if calibration.likelihood is None:
         return None
     linear, chosen = calibration.linear, calibration.chosen
@@ -292,8 +279,7 @@ def _compression(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _light_offset(in_time: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on a light offset (the light at zero exposure), as a time
-    or as photons; None if the offset is not significant."""
+    """Return a significant offset of the light, as a time or as photons; else None."""
     if not _has("light_offset", calibration) or calibration.chosen.data.photons_known == in_time:
         return None
     offset, error = _value_and_error(calibration, "light_offset")
@@ -323,8 +309,7 @@ def _has_offset(calibration: NoiseCalibration) -> bool:
 
 
 def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding that the light offset may be a difference in black level
-    between darks and flats. The difference in DN is the light offset times the responsivity."""
+    """Return the light offset as a difference in black level of darks and flats, DN."""
     if not _has_offset(calibration):
         return None
     offset, _ = _value_and_error(calibration, "light_offset")
@@ -382,8 +367,7 @@ def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, f
 
 
 def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the dark signal as a share of the signal by light if all light follows the exposure
-    times, so that both grow together; None if the share is small."""
+    """Return the dark signal as a share of a light that follows the times; None if small."""
     measurement, usable = calibration.measurement, calibration.usable
     bright, dark = measurement.bright, measurement.dark
     times, lit = np.asarray(dark.exposure), np.asarray(bright.exposure)[usable]
@@ -398,8 +382,7 @@ def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether the light offset comes from the dimmest level alone, because the signal of all other
-    levels extrapolates to 0 without light."""
+    """Whether the signals of all levels but the dimmest extrapolate to 0 without light."""
     bright = measurement.bright
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
     rest = np.argsort(light)[1:]
@@ -449,9 +432,7 @@ def _variance_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _misfit(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on the chosen model's chi-square; None if the finding does
-    not apply. With `explained`, the finding applies if only the misfit of the linear model is
-    significant. Otherwise the finding applies if the misfit of the chosen model is significant."""
+    """Return the chosen chi-square, if its misfit is significant or (`explained`) is not."""
     if calibration.likelihood is None or (calibration.chosen.inflation == 1) != explained:
         return None
     chosen = calibration.chosen
@@ -462,8 +443,7 @@ def _misfit(explained: bool, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _histogram_numbers(failed: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on histograms of codes that replaced means and variances
-    or, with `failed`, on histograms whose fit failed. Return None if the finding does not apply."""
+    """Return the numbers on histograms of codes, if their fit `failed` or did not."""
     counted = calibration.counted
     if counted is None or calibration.likelihood is None or bool(counted.failures) != failed:
         return None
@@ -489,8 +469,7 @@ def _standard_scatter(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _exact(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the number of levels at which rounding and clipping are computed exactly; None if
-    there are none."""
+    """Return the number of levels with exact rounding and clipping; None if there are none."""
     window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is None:
         return None
@@ -537,8 +516,7 @@ def _highest_unsaturated(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _long_exposures(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding that exposures are read as seconds; None if the exposures
-    of the flats are short, or if there is no dark current."""
+    """Return long exposures of flats in seconds; None if short or without dark current."""
     bright, current = calibration.measurement.bright, calibration.estimates.get("dark_current")
     times, frames = np.asarray(bright.exposure), np.asarray(bright.frames)
     if current is None or not current.value or times.max() < LONG_EXPOSURE:
@@ -552,8 +530,7 @@ def _long_exposures(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _glow(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the numbers for the finding on glow: darks with a smooth unevenness that grows with
-    exposure; None if there is none."""
+    """Return darks whose smooth unevenness grows with exposure; None if there are none."""
     dark = calibration.measurement.dark
     if dark.local_pattern is None or dark.spatial_variance is None:
         return None
@@ -584,9 +561,7 @@ def _glow(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dark_currents(kind: str, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the dark currents from means and from variances if the two disagree for the reason
-    `kind`; else None. The reasons are that variances scatter ("scattered"), that rounding biases
-    both ("biased"), or neither of these ("plain")."""
+    """Return two dark currents that disagree, if the reason is `kind`; else None."""
     values, errors = calibration.standard.values, calibration.standard.errors
     if "dark_current_mean" not in values:
         return None
@@ -618,8 +593,7 @@ def _significant(rows_and_columns: Iterable[Found]) -> Iterable[tuple[str, Found
 
 
 def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
-    """Return the numbers for findings on temporal noise that rows or columns of the darks share, in
-    electrons."""
+    """Return significant temporal noise that rows or columns of the darks share, e-."""
     dark, scale = calibration.measurement.dark, 1 / calibration.gain
     whole = float(np.mean(np.asarray(dark.variance)))
     return [
@@ -634,8 +608,7 @@ def _shared_noise(calibration: NoiseCalibration) -> list[Numbers]:
 
 
 def _banding(calibration: NoiseCalibration) -> list[Numbers]:
-    """Return the numbers for findings on fixed differences between rows or columns of the darks, in
-    electrons."""
+    """Return significant fixed differences between rows or columns of the darks, e-."""
     kind, scale = "" if _glow(calibration) else "banding, ", 1 / calibration.gain
     return [
         {"lines": name, "size": _format_lines(one, scale), "kind": kind}

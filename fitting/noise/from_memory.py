@@ -102,8 +102,7 @@ def _rig_of(
     camera: Camera,
     dark_exposures: Sequence[float] | None,
 ) -> tuple[Rig, Load]:
-    """Return a rig that describes frames in memory, and a function that returns a frame by its name
-    in the rig."""
+    """Return a rig that describes frames in memory, and a function that loads them."""
     require_frames("flats", flats)
     require_frames("darks", darks)
     exposures = number_list("exposures", exposures)
@@ -133,8 +132,7 @@ def _rig_of(
 def _entries(
     kind: str, levels: Sequence[Sequence[ArrayLike]], exposures: Sequence[float]
 ) -> tuple[list[dict[str, Any]], dict[str, ArrayLike]]:
-    """Return the rig's entries for all levels of one kind ("flats" or "darks"), and their frames by
-    name."""
+    """Return the rig's entries of one kind ("flats" or "darks"), and their frames by name."""
     named = [
         {f"{kind}[{i}][{j}]": frame for j, frame in enumerate(level)}
         for i, level in enumerate(levels)

@@ -61,9 +61,7 @@ def temporal_variance(
 def fixed_variance(
     live: LivePixels, average: np.ndarray, temporal: TemporalVariance, count: int
 ) -> tuple[float, float]:
-    """Return the fixed variances of rows and of columns, which are the same in all frames, DN^2,
-    from the average of `count` frames. The temporal noise that remains in the average is
-    subtracted. Both variances are 0 if a frame is a single row or column."""
+    """Return fixed variances of rows and columns, DN^2, from an average of `count` frames."""
     if min(live.shape) == 1:
         return 0.0, 0.0
     away = average - live.mean(average)
@@ -82,8 +80,7 @@ def _separate_variances(
 
 
 class SquareSums:
-    """Sums of squares and products over the frames of a level, from which variances and covariances
-    between frames follow."""
+    """Sums of squares and products over a level's frames, for variances between frames."""
 
     def __init__(self, live: LivePixels) -> None:
         self._of: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -101,9 +98,7 @@ class SquareSums:
             self._sums[name] = self._sums.get(name, 0.0) + weight * square(deviation)
 
     def variance(self, name: str, total: np.ndarray, count: int) -> np.ndarray:
-        """Return the variance (or covariance) `name` between frames. It is the sum of squares of
-        the deviations of `count` frames from their mean, divided by the number of frames minus 1.
-        The argument `total` is the sum of the added deviations."""
+        """Return the variance (or covariance) `name` between frames; `total` sums deviations."""
         return (count * self._sums[name] - self._of[name](total)) / (count * (count - 1))
 
 

@@ -55,8 +55,7 @@ def knee_of(
     shot: Float[np.ndarray, " levels"],
     error: Float[np.ndarray, " levels"],
 ) -> Knee | None:
-    """Find the knee of a response with two slopes, from signal and shot variance; None if the
-    response has no knee."""
+    """Find the knee of a response with two slopes; None if it has none."""
     known = (signal > 0) & (shot > 0) & (error < shot / 4)
     places = np.flatnonzero(known)
     s, v, e = signal[places], shot[places], error[places] / shot[places]
@@ -295,8 +294,7 @@ def reached(levels: Levels) -> Float[np.ndarray, " levels"]:
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """Return the index of the level with the largest variance, which is the standard's saturation
-    point; None unless the variance decreases above this level."""
+    """Return the level of largest variance; None unless it decreases above this level."""
     variance = np.asarray(levels.variance)
     peak = int(np.argmax(variance))
     least = variance[peak] - SATURATED_DROP * levels.variance_error[peak]
@@ -304,8 +302,7 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Return the indices of the bright levels that neither the full well nor the end of the ADC
-    range affects."""
+    """Return the bright levels that neither full well nor the end of the range affects."""
     bright = measurement.bright
     usable = (np.asarray(bright.variance) > 0) & measurement.clear
     knee, saturated = measurement.knee, measurement.saturated
@@ -322,8 +319,7 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
 
 def partly_saturated(measurement: PhotonTransfer) -> Bool[np.ndarray, " levels"]:
-    """Return a mask of the bright levels at which some pixels are saturated although the mean is
-    far below the end of the scale, because light or gains are uneven."""
+    """Return a mask of levels of which some pixels are saturated far below the end."""
     ended = measurement.bright.ended
     if ended is None:
         return np.zeros(measurement.bright.mean.shape, bool)

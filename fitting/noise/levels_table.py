@@ -126,8 +126,7 @@ def _column(file: Path, columns: dict[str, np.ndarray], name: str) -> np.ndarray
 
 
 def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> int:
-    """Return the number of pixels: the number in the table, or the number that its sums and means
-    imply."""
+    """Return the number of pixels, stated or implied by sums and means."""
     if PIXELS_COLUMN in columns:
         counts = columns[PIXELS_COLUMN]
     elif "bright_sum" in columns and "mean_bright_DN" in columns:
@@ -149,8 +148,7 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
 def _moments(
     file: Path, columns: dict[str, np.ndarray], frames: np.ndarray, pixels: int
 ) -> tuple[np.ndarray, ...]:
-    """Return (bright mean, bright variance, dark mean, dark variance) of each row. If the table has
-    sums, the moments are computed from the sums, because sums are exact."""
+    """Return bright and dark means and variances of each row, from exact sums if there are any."""
     if not any(name in columns for name in COUNT_COLUMNS):
         return tuple(_column(file, columns, name) for name in MOMENT_COLUMNS)
     sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
@@ -161,9 +159,7 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Raise InputError if a column of variances seems to contain standard deviations. The sign of
-    this error is that the squares of the values are proportional to the signal, but the values are
-    not."""
+    """Refuse standard deviations: their squares, not they, follow the signal."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
@@ -183,8 +179,7 @@ def _refuse_deviations(
 def _depth(
     file: Path, bits: int | None, mean: np.ndarray, variance: np.ndarray
 ) -> tuple[float | None, tuple[str, ...]]:
-    """Return (full scale in DN, remarks). Full scale is computed from `bits`, or from saturated
-    levels at which every pixel has the same number."""
+    """Return full scale, DN, from `bits` or from saturated levels, and remarks."""
     brightest = float(mean.max())
     if bits is not None:
         if brightest > 2**bits - 1:

@@ -117,8 +117,7 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 def line_products(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of products of neighbouring pixels: one sum for each pair of successive rows, and
-    one for each pair of successive columns."""
+    """Return sums of products of neighbours, one for each pair of rows, then of columns."""
     below = np.einsum("ij,ij->i", x[:-1], x[1:])
     beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
     return below, beside
@@ -147,8 +146,7 @@ class LivePixels:
 
     @cached_property
     def pairs_by_line(self) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers of pairs of neighbouring pixels that are both valid, in the order of
-        `line_products`."""
+        """The numbers of valid pairs of neighbours, in the order of `line_products`."""
         return line_products(self.mask.astype(float))
 
     @cached_property
@@ -171,8 +169,7 @@ class LivePixels:
         return float(self.zero_invalid(plane).sum()) / self.count
 
     def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
-        """Return the means of rows (axis 0) or columns (axis 1) over valid pixels; NaN for a row or
-        column without valid pixels."""
+        """Return means of rows (axis 0) or columns (1) over valid pixels; NaN without any."""
         sums = self.zero_invalid(plane).sum(axis=1 - axis)
         counts = self._of_line[axis]
         return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
@@ -283,8 +280,7 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
 
 
 def _covered_border(still: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the rows and columns at the border of the frame that hardly respond to
-    light."""
+    """Return a mask of rows and columns at the border that hardly respond to light."""
     covered = np.zeros_like(still)
     for axis in (0, 1):
         line = still.mean(axis=1 - axis) >= 1 - MOST
@@ -309,8 +305,7 @@ def _step(values: np.ndarray) -> float:
 
 
 def _where(mask: Bool[np.ndarray, "h w"]) -> str:
-    """Describe the positions of masked pixels in words: whole columns and rows by number, then
-    single pixels."""
+    """Describe masked pixels in words: whole columns and rows, then single pixels."""
     parts, left = [], mask.copy()
     for axis, name in ((0, "column"), (1, "row")):
         whole = np.flatnonzero(mask.all(axis=axis))

@@ -150,8 +150,7 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
 
 
 def drifted(values: dict[str, Array], data: NoiseData) -> NoiseData:
-    """Return the data, with the light of each level multiplied by the drift of the lamp over the
-    series."""
+    """Return the data, with each level's light multiplied by the drift of the lamp."""
     if "light_drift" not in values or data.series is None:
         return data
     return replace(data, light=data.light * (1 + values["light_drift"] * data.series))
@@ -308,14 +307,12 @@ class LevelStatistics(eqx.Module):
         return terms
 
     def residuals(self, prediction: Expected, data: Array, chance: Any) -> Array:
-        """Return residuals that are standard normal for every datum under the model; 0 for unknown
-        data."""
+        """Return residuals that are standard normal under the model; 0 for unknown data."""
         del chance
         return self._terms_and_residuals(prediction, jnp.asarray(data))[1]
 
     def draw(self, key: Array, prediction: Expected) -> Array:
-        """Return simulated data with independent Gaussian errors; NaN for data that the model does
-        not predict."""
+        """Return simulated data with Gaussian errors; NaN where nothing is predicted."""
         of, nothing = prediction, jnp.full_like(prediction.mean, jnp.nan)
         columns = ((of.mean, of.of_mean), (of.variance, of.of_variance))
         columns += ((of.neighbours, of.of_neighbours),)
@@ -358,8 +355,7 @@ class LevelStatistics(eqx.Module):
     def _spatial(
         at: Expected, deviation: Array, rest: Array, of_rest: Array
     ) -> tuple[Array | None, Array | None]:
-        """Return the expected spatial variance and its sampling variance, conditional on the
-        observed mean and temporal variance."""
+        """Return expectation and variance of the spatial variance, given mean and variance."""
         if at.of_spatial is None or at.spatial is None:
             return None, None
         own, with_mean, with_variance = at.of_spatial
@@ -405,9 +401,7 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """Return the log density of the current parameters under the Gaussian result of the fit to
-    histograms of codes. The light of a held-out level is treated as unknown, so that only gain and
-    read noise are compared."""
+    """Return the log density of the parameters by the histograms' Gaussian result."""
     at = counted.levels
     light = data.light[at]
     electrons = expected_electrons(values, data, light, data.lit[at], data.exposure[at])

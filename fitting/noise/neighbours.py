@@ -145,8 +145,7 @@ def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> Neighbour
 def own_variance(
     values: dict[str, Array], around: NeighbourData | None, electrons: Array, top: Array
 ) -> Array:
-    """Return V(mu), the variance of a pixel's charge at mu electrons, e-^2, after repulsion and
-    mixing."""
+    """Return V(mu), the variance of a pixel's charge after repulsion and mixing, e-^2."""
     own = electrons
     if "brighter_fatter" in values and around is not None:
         change = -values["brighter_fatter"] * values["system_gain"] * electrons / top
@@ -155,8 +154,7 @@ def own_variance(
 
 
 def area_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """Return the ratios a_ij / a_00 of a camera, as estimated from its covariances. The sum of
-    these ratios over all pixels is 0, because the total area does not change."""
+    """Return the ratios a_ij / a_00 by the covariances; over all pixels they sum to 0."""
     shape = -shares(measurement, usable, power=2)
     shape[0, 0] = 1
     return shape
@@ -189,8 +187,7 @@ def shares(measurement: PhotonTransfer, usable: np.ndarray, *, power: int) -> La
 def _powers_of(
     signal: np.ndarray, found: np.ndarray, variances: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Fit C = r x + b x^2 to the covariances at each offset by weighted least squares; return (r,
-    its error) and (b, its error)."""
+    """Fit C = r x + b x^2 at each offset; return (r, its error) and (b, its error)."""
     x, weight = signal[:, None, None], 1 / variances
     moments = [np.sum(weight * x**power, axis=0) for power in (2, 3, 4)]
     first, second = (np.sum(weight * x**power * found, axis=0) for power in (1, 2))

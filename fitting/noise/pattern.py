@@ -50,8 +50,7 @@ class Spread:
 
     @property
     def error(self) -> float:
-        """Standard error of the population's variance, including the sampling of this sensor's
-        pixels."""
+        """Standard error of the population's variance, with the sampling of these pixels."""
         return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
 
     @property
@@ -114,14 +113,12 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _noise_variance(pattern: np.ndarray, rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Return the sampling variance, DN^4, of the square of one deviation with the variance
-    `pattern` if temporal noise of the variance `rest` remains in the average of the frames."""
+    """Return the sampling variance, DN^4, of a deviation's square in an average of frames."""
     return 4 * np.maximum(pattern, 0) * rest + 2 * rest**2 * frames / (frames - 1)
 
 
 def local_variances(levels: Levels) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the variance between neighbouring pixels that is the same in all frames, DN^2, and its
-    sampling variance by temporal noise, DN^4, of each level; None where it is unknown."""
+    """Return fixed variances between neighbours, DN^2, and their errors squared, DN^4."""
     if levels.local_pattern is None:
         return None
     own, frames = np.asarray(levels.local_pattern), np.asarray(levels.frames)
@@ -133,8 +130,7 @@ def local_variances(levels: Levels) -> tuple[np.ndarray, np.ndarray] | None:
 def local_pattern(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Spread, Spread]:
-    """Return the variance of offsets and of gains between neighbouring pixels, which smoothly
-    uneven light does not increase."""
+    """Return variances of offsets and of gains between neighbours, free of uneven light."""
     signal = signal_of(measurement)
     usable = usable[signal[usable] > 0]
     matched = np.asarray(measurement.dark_of)[usable]
@@ -153,8 +149,7 @@ def local_pattern(
 
 
 def unequal_offsets(dark: Levels) -> tuple[Found, Found]:
-    """Return the fixed variance of rows and of columns of the darks, from all exposures
-    together."""
+    """Return the fixed variance of rows and of columns of the darks, DN^2."""
     return fixed_lines(dark, 0), fixed_lines(dark, 1)
 
 
@@ -176,8 +171,7 @@ def _population_spread(
 
 
 def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
-    """Return the variance between sensors of the sample covariance of offsets and gains, DN^2, if
-    the two are independent."""
+    """Return the variance of the sample covariance of independent offsets and gains."""
     lines = zip(dark.parts[1:], response.parts[1:], strict=False)
     return max(dark.variance, 0.0) * max(response.variance, 0.0) / pixels + sum(
         one.variance * other.variance / one.degrees for one, other in lines
@@ -187,8 +181,7 @@ def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
 def unequal_gains(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Found, Found]:
-    """Return the relative fixed variance of the gains of rows and of columns, from all levels
-    together."""
+    """Return the relative fixed variance of the gains of rows and of columns."""
     bright, dark = measurement.bright, measurement.dark
     signal = signal_of(measurement)
     usable = usable[signal[usable] > 0]  # flats without light hold no information on gains
@@ -223,8 +216,7 @@ def unequal_gains(
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Return (fixed variances, temporal variances, number) for rows and for columns; empty if these
-    variances are unknown."""
+    """Return (fixed, temporal variances, number) of rows and of columns; [] if unknown."""
     if levels.shared is None:
         return []
     fixed, varying, counts = (
@@ -262,8 +254,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
 def fitted_pattern(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> PatternVariance:
-    """Estimate the pattern by weighted least squares over all darks and the `usable` bright
-    levels."""
+    """Estimate the pattern by least squares over all darks and `usable` bright levels."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)

@@ -132,9 +132,7 @@ def _inner_half(h: int, w: int) -> Bool[np.ndarray, "h w"]:
 
 
 def _step(lines: np.ndarray) -> tuple[float, float]:
-    """Return the step of the means of rows or columns at the middle of the frame, and the two-sided
-    p-value of the step. The error of the step is estimated from the differences between
-    neighbouring blocks of lines elsewhere in the frame."""
+    """Return the step of line means at the frame's middle, and its two-sided p-value."""
     size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for structure that repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)
@@ -173,8 +171,7 @@ class Periodic:
 def periodic_structure(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Periodic, ...]:
-    """Find rows, columns, mosaic sites and parts of the frame that differ significantly and by
-    enough to matter."""
+    """Find rows, columns, sites and parts of the frame that differ enough to matter."""
     bright, dark = measurement.bright, measurement.dark
     if bright.residues is None or dark.residues is None or not len(usable):
         return ()
@@ -228,8 +225,7 @@ def periodic_structure(
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
-    """Return the rms deviation between the classes. For gains, the deviation is divided by their
-    mean. Signals are already relative."""
+    """Return the rms deviation between classes, for gains relative to their mean."""
     return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
 
 
@@ -239,8 +235,7 @@ def _classes(values: Float[np.ndarray, "5 residues"], kind: int, period: int) ->
 
 
 def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
-    """Return the shortest period of rows (`kind` 0) or columns (1) that explains all periodic
-    differences; 0 if there are none."""
+    """Return the shortest period of rows (0) or columns (1) that explains all; 0 if none."""
     found, longer = _shortest(values[kind, :RESIDUES], PERIODS), values[3 + kind]
     if found > 2 or not np.isfinite(longer).all():
         return found
@@ -252,8 +247,7 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
 
 
 def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
-    """Return the shortest of `periods` that explains all differences; 0 if no period is
-    significant. Each period is a multiple of the preceding one."""
+    """Return the shortest of nested `periods` that explains all differences; 0 if none."""
     count = len(values)
     chosen, explained = 0, np.full(count, values.mean())
     for period in periods:
@@ -271,8 +265,7 @@ def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) 
 
 
 def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
-    """Return the means of the four sites of a 2 x 2 cell if these means are not the sum of a row
-    effect and a column effect; else an empty tuple."""
+    """Return means of the sites of a 2 x 2 cell that rows and columns do not explain; else ()."""
     cell = values.reshape(CELL // 2, 2, CELL // 2, 2)  # (., row, ., column)
     sites = cell.mean(axis=(0, 2))
     contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
@@ -324,8 +317,7 @@ def _unequal_parts(
 def _steps_that_matter(
     step: Float[np.ndarray, "2"], of_levels: Float[np.ndarray, "levels 2 8"], noise: float
 ) -> list[str]:
-    """Return the names of the halves between which the frames have a significant step that is not
-    negligible beside the noise of a pixel, in the same unit."""
+    """Return the halves between which frames have a significant, not negligible step."""
     rare = np.median(of_levels[:, 1, 6:], axis=0)
     return [
         part
@@ -337,8 +329,7 @@ def _steps_that_matter(
 def _gains_of_parts(
     measurement: PhotonTransfer, usable: np.ndarray, lit: np.ndarray, unlit: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
-    """Return the system gain K of each quarter, the centre and the border of the frame, and which
-    of `CONTRASTS` are significant."""
+    """Return K of each quarter, centre and border, and which `CONTRASTS` are significant."""
     bright = measurement.bright
     signal, shot = np.moveaxis(lit - unlit, 1, 0)  # (levels, places) each
     variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]

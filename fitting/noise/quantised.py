@@ -135,8 +135,7 @@ def window_for(
 
 
 def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
-    """Return the nodes d / s for the average over offsets. The nodes resolve every harmonic of the
-    rounding that the smallest read noise does not smooth out."""
+    """Return nodes d / s that resolve every harmonic that the least read noise leaves."""
     harmonics = DECAY / (2 * np.pi * finest)
     half = REACHED * (spread * 2 * harmonics + 1.2)
     half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # few sizes, as for the frequencies
@@ -152,8 +151,7 @@ def quantised_moments(
     *,
     spread: Float[Array, ""] | None = None,
 ) -> Moments:
-    """Return the first four cumulants of the digital number at ONE level; use `vmap` over the
-    levels of the window."""
+    """Return the cumulants of the number at ONE level; use `vmap` over the window."""
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
     # cos - 1 is computed as -2 sin^2 of half the angle, which has no cancellation at small u.

@@ -42,8 +42,7 @@ GROWS = 0.7  # share of the noise above black that must be proportional to the s
 def block_products(
     deviation: Float[np.ndarray, "h w"], live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Return the mean product of a pixel and the pixel below it, by row modulo 8, and of a pixel
-    and the pixel to its right, by column modulo 8."""
+    """Return mean products of neighbours below (beside), by row (column) modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         lines = zip(found, line_products(deviation), live.pairs_by_line, strict=True)
@@ -92,8 +91,7 @@ def combs(
 
 
 def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float:
-    """Return the variance of an average frame from differences between neighbouring pixels, which
-    uneven light does not increase."""
+    """Return an average frame's variance by neighbours' differences, free of uneven light."""
     found = []
     for axis in (0, 1):
         if average.shape[axis] > 1:
@@ -123,8 +121,7 @@ def processing_in_words(
 def compressed_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """Return a sentence on compression or resizing if the coefficients of blocks are quantised, or
-    if correlated noise ends at the borders of blocks; else an empty list."""
+    """Return a sentence on compression or resizing by blocks; else []."""
     return _rounded_blocks(measurement, usable) or _parted_blocks(measurement, usable)
 
 

@@ -307,8 +307,7 @@ def _pool_darks(darks: Sequence[Dark]) -> list[Dark]:
 
 
 def _light(rig: Rig, flat: Flat) -> float | None:
-    """Return the photons per pixel of a flat: the number stated in the rig, or the number computed
-    from the stated irradiance. Return None if the rig states neither."""
+    """Return a flat's photons per pixel, stated or from its irradiance; None without."""
     if flat.photons is not None or flat.irradiance is None:
         return flat.photons
     camera = rig.camera
@@ -323,8 +322,7 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 
 
 def _drop_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
-    """Return the rig without the frames whose metadata contradict the rig, the dropped flats and
-    darks, and remarks."""
+    """Return the rig without frames that metadata contradict, these, and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
         Stated(name, rig.path(name), entry.exposure, group)
@@ -357,8 +355,7 @@ def _reduce_levels(
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
 ) -> tuple[Levels, list[tuple[FrameSample, ...]], Codes]:
-    """Compute the statistics of each level, without frames that deviate. Also return a summary of
-    each used frame, and counts of the codes. `odd` names the frames that were dropped before."""
+    """Compute each level's statistics without deviating frames, summaries, and codes."""
     rig, gone, codes = source.rig, list(odd), Codes()
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])
@@ -412,8 +409,7 @@ def _reduce_levels(
 
 
 def _array(values: Any) -> Array:
-    """Convert numbers to a JAX array through NumPy, because JAX would compile a program for each
-    list."""
+    """Convert numbers to a JAX array by NumPy, without a program for each list."""
     return jnp.asarray(np.asarray(values))
 
 
@@ -451,9 +447,7 @@ def _leave_out_sizes(rig: Rig, found: list[ReducedLevel | None], gone: list[OddF
 def _level(
     source: _Source, codes: Codes, files: Sequence[str], unlit: Unlit | None, odd: list[OddFrames]
 ) -> ReducedLevel | None:
-    """Compute the statistics of a level, from the frames of its most frequent size; None if fewer
-    than two frames remain. Unusable frames are added to `odd`, and the codes of all readable frames
-    to the counts."""
+    """Compute a level's statistics from frames of the usual size; None for fewer than two."""
     rig, of_size = source.rig, {}
     for name in files:
         try:

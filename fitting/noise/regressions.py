@@ -52,8 +52,7 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Return the chi-square of points about their weighted least-squares line (about their mean if
-    all points have the same x), and the degrees of freedom."""
+    """Return chi-square about a weighted line (a mean if all x are equal), and degrees."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)
@@ -82,8 +81,7 @@ class SamplingErrors(eqx.Module):
 def sampling_errors(
     levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
 ) -> SamplingErrors:
-    """Return the sampling variances and covariance of mean and temporal variance over n pixels and
-    L frames."""
+    """Return the sampling errors of mean and temporal variance over pixels and frames."""
     shot = jnp.maximum(shot_variance, 0)
     n, frames = levels.pixels, levels.frames
     mean = levels.variance / (n * frames)
@@ -105,8 +103,7 @@ def p_value(chi_square: float, degrees: float) -> float:
 
 
 def inflation(chi_square: float, degrees: float) -> float:
-    """Return the factor on a covariance for a misfit: chi-square per degree of freedom if it is
-    significant, else 1."""
+    """Return chi-square per degree of freedom if it is significant, else 1."""
     beyond = degrees > 0 and p_value(chi_square, degrees) < MISFIT
     return chi_square / degrees if beyond else 1.0
 

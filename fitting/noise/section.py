@@ -141,8 +141,7 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 
 
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
-    """Return the figures of the data sheet by both methods (regressions and likelihood), then the
-    parameters that only the likelihood has."""
+    """Return the figures by regressions and by likelihood, then its other parameters."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
     floored = is_floored(calibration.measurement, calibration.within)
     values, errors = calibration.standard.values, calibration.standard.errors
@@ -261,8 +260,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 
 def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:
-    """Return the reason why a fixed pattern is not significant, with a placeholder for its upper
-    limit."""
+    """Return why a pattern is insignificant, with a placeholder for its upper limit."""
     if spread.hidden_by_noise:
         return "hidden under temporal noise, {}; take more frames"
     if pattern.p_value is not None and pattern.p_value < MISFIT:

@@ -110,8 +110,7 @@ def fitted_sensor(
 
 
 def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
-    """Split sensors along the leading axis of every field into the first (the best fit) and all
-    others (the draws)."""
+    """Split sensors along their leading axis into the best fit and the draws."""
     best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), every)
     return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), every)
 
@@ -153,8 +152,7 @@ def drawn_numbers(
     left_out: Bool[np.ndarray, " levels"] | None = None,
     asked: frozenset[str] = frozenset(),
 ) -> Numbers:
-    """Return the parameters from which `fitted_sensor` is made. `asked` names effects to include
-    even if they are not significant."""
+    """Return a sensor's parameters; effects `asked` for need not be significant."""
     posterior, usable = calibration.posterior, calibration.usable
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     if left_out is None:
@@ -194,8 +192,7 @@ def bits_of(full_scale: float, converter: Converter) -> float:
 
 @compiled_briefly
 def sensors_of(numbers: Numbers) -> Sensor:
-    """Make a sensor with a leading axis at every number, for the best estimate and then each
-    draw."""
+    """Make a sensor with a leading axis: the best estimate, then each draw."""
     return eqx.filter_vmap(lambda natural, beside: _sensor(numbers.about, natural, beside))(
         numbers.natural, numbers.beside
     )
@@ -212,8 +209,7 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
 
 
 def codes_in_words(converter: Converter) -> str:
-    """Return a sentence on the factor between the numbers in the files and the converter's codes;
-    empty if the factor is 1."""
+    """Return a sentence on the factor from the files' numbers to codes; "" for 1."""
     if converter.step in (0.0, 1.0):
         return ""
     return f" Its codes are the file's numbers divided by {converter.step:.5g}."
@@ -231,9 +227,7 @@ def mode_without(
 def _parameters_outside_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Return the sensor's parameters that are not in the likelihood, by field name: the best
-    estimate, then draws. These parameters are variances in DN^2, which the gain of each draw
-    converts to electrons, except PRNU^2, which is relative, and the full well, which is in DN."""
+    """Return sensor fields by name (mostly variances, DN^2), best then draws."""
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
@@ -298,8 +292,7 @@ class About(eqx.Module):
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
-    """Make the sensor for one draw of the likelihood's parameters `natural` and of the other
-    parameters `known`."""
+    """Make the sensor of one draw: `natural` of the likelihood, and `known` beside it."""
     values = dict(zip(about.labels, natural, strict=True))
     converter, scale = about.converter, about.full_scale
     gain, read = values["system_gain"], (values["read_noise"] * values["system_gain"]) ** 2
@@ -343,8 +336,7 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
 
 
 def _compression(values: dict[str, Array], top: Array | np.ndarray) -> Compression | None:
-    """Return the response curve of the chosen model as a field of a `Sensor`; None if the response
-    is linear."""
+    """Return the chosen response curve of a `Sensor`; None if it is linear."""
     if "compression" not in values:
         return None
     electrons = top / values["system_gain"]

@@ -61,15 +61,12 @@ NOTHING = Found(0.0, 0.0, 0.0)
 
 
 def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> float:
-    """Return the normal deviate with the same tail probability as the F-ratio of two variances with
-    these degrees of freedom. A number of standard errors would be misleading, because a chi-square
-    with few degrees of freedom has a long tail."""
+    """Return the normal deviate of the same tail probability as an F-ratio."""
     return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 
 def temporal_lines(levels: Levels, axis: int) -> Found:
-    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share, from all levels
-    together."""
+    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share, DN^2."""
     if levels.shared is None:
         return NOTHING
     lines, across = np.asarray(levels.shared.shape)[[axis, 1 - axis]]
@@ -82,8 +79,7 @@ def temporal_lines(levels: Levels, axis: int) -> Found:
 def extra_lines(
     bright: Levels, dark: Levels, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """Estimate the temporal noise that rows (axis 0) or columns (axis 1) share in the usable flats,
-    in excess of such noise in the darks."""
+    """Estimate the noise that lines share in usable flats beyond that of the darks."""
     unlit = temporal_lines(dark, axis)
     if bright.shared is None or not unlit.error:
         return NOTHING
@@ -106,8 +102,7 @@ def extra_lines(
 
 
 def significant_lines(levels: Levels) -> list[tuple[float, float]]:
-    """Return (shared temporal variance in DN^2, number of lines) for rows and for columns, without
-    those whose shared variance is not significant."""
+    """Return (variance in DN^2, number) of rows and columns with significant noise."""
     if levels.shared is None:
         return []
     found = [temporal_lines(levels, axis) for axis in (0, 1)]
@@ -116,8 +111,7 @@ def significant_lines(levels: Levels) -> list[tuple[float, float]]:
 
 
 def shared_noise(levels: Levels) -> SharedNoise | None:
-    """Return the sampling errors that significant shared noise of rows, columns or frames adds;
-    None if there is no such noise."""
+    """Return the sampling errors that significant shared noise adds; None without any."""
     lines, wander = significant_lines(levels), drift(levels)
     if not lines and not wander.is_significant:
         return None
@@ -130,8 +124,7 @@ def shared_noise(levels: Levels) -> SharedNoise | None:
 
 
 def fixed_lines(levels: Levels, axis: int) -> Found:
-    """Estimate the fixed variance between rows (axis 0) or columns (axis 1), from all levels
-    together."""
+    """Estimate the fixed variance between rows (axis 0) or columns (axis 1), DN^2."""
     if levels.shared is None or levels.spatial_variance is None:
         return NOTHING
     spatial, variance, frames = (
@@ -181,8 +174,7 @@ def one_pattern(
 
 
 def drift(levels: Levels) -> Found:
-    """Estimate the variance of the frames' means in excess of pixel, row and column noise, from all
-    levels together."""
+    """Estimate the variance of frames' means beyond pixel, row and column noise, DN^2."""
     if levels.shared is None:
         return NOTHING
     degrees, shape = np.asarray(levels.frames) - 1, np.asarray(levels.shared.shape)[:, None]

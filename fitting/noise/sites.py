@@ -129,8 +129,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
 def joined_sensors(
     sensors: Sequence[tuple[Sensor, Sensor]], camera: Camera
 ) -> tuple[Sensor, Sensor]:
-    """Combine the sensors of all sites, with their draws, to one sensor; shared parameters become
-    means over the sites."""
+    """Combine sensors of all sites; shared parameters become means over the sites."""
     each = []
     for i, (best, draws) in enumerate(sensors):
         count = min(leaf.shape[0] for _, own in sensors for leaf in jax.tree.leaves(own))
@@ -214,8 +213,7 @@ def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
 
 
 def tap_sensor(sensor: Sensor, tap: int) -> Sensor:
-    """Return the sensor of one tap. If the sensor has no quantum efficiency, the unit of its light
-    is an electron of this tap."""
+    """Return the sensor of one tap; without efficiency its light is in the tap's electrons."""
     taps = sensor.taps
     if taps is None:
         return sensor
@@ -242,8 +240,7 @@ def _shuffle(numbers: Numbers, seed: int, count: int) -> Numbers:
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
-    """Condition the parameters of all taps on common values of the shared properties; also return
-    findings on properties that differ."""
+    """Condition all taps on common shared properties; also return what differs."""
     labels = set.intersection(*(set(one.about.labels) for one in each))
     shared = [
         name
@@ -287,8 +284,7 @@ def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
 
 
 def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Invert a covariance of parameters with different units; parameters of zero variance get
-    zeros."""
+    """Invert a covariance of mixed units; parameters of zero variance get zeros."""
     scale = np.sqrt(np.diagonal(matrix))
     scale = np.outer(scale, scale)
     scale[scale == 0] = np.inf
@@ -323,8 +319,7 @@ def _unequal(
 
 
 def _average_other_parameters(each: Sequence[Numbers]) -> list[Numbers]:
-    """Replace five properties of each tap by their means over all taps, in electrons: the noise of
-    rows, of columns and of frames, DSNU and full well."""
+    """Replace shared noise, DSNU and full well of taps by their means, e-."""
     gains = [one.parameter("system_gain") for one in each]
     for name in {name for one in each for name in one.beside} - {"prnu"}:
         power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
@@ -346,8 +341,7 @@ def _join_taps(
     widest: int,
     camera: Camera,
 ) -> Sensor:
-    """Make, for each draw, one sensor with taps from the sensors of all taps. If photons are
-    unknown, `rates`, the signal per unit of light of each tap, replace the efficiencies."""
+    """Make each draw's sensor with taps; `rates` of the signal replace efficiencies."""
 
     def join_sensor(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
         own = {}
@@ -376,8 +370,7 @@ def _join_taps(
 
 
 def unequal_greens(measurements: Mapping[str, PhotonTransfer]) -> tuple[str, ...]:
-    """Return a sentence if the signals of mosaic sites, whose `measurements` are by name, show
-    another phase: the green sites differ, and the red and blue sites hardly do."""
+    """Return a sentence if the signals of mosaic sites show another phase."""
     signals = {}
     for site in COLOUR_SITES:
         if (own := measurements.get(site)) is None:

@@ -90,8 +90,7 @@ def noise_data(
     offsets: OffsetData | None = None,
     counted: CountedLevels | None = None,
 ) -> tuple[NoiseData, Rows]:
-    """Return the inputs and the data of a problem, with rows for the usable bright levels and then
-    for all darks."""
+    """Return inputs and data of a problem: usable bright levels, then all darks."""
     bright, dark = measurement.bright, measurement.dark
     index = jnp.asarray(usable)
 
@@ -136,8 +135,7 @@ def noise_data(
 def make_problem(
     space: ParameterSpace, inputs: NoiseData, rows: Rows, *, candidates: Sequence[Candidate] = ()
 ) -> Problem:
-    """Make the problem of a camera with these parameters, and with the parameters of candidate
-    effects."""
+    """Make the problem of a camera with these parameters and candidate effects."""
     free = {one.name: one for one in space} | {one.name: one for one in candidates}
     return Problem(free, predict, LevelStatistics(), rows, inputs=inputs)
 
@@ -183,8 +181,7 @@ class LikelihoodFit:
 
     @property
     def data(self) -> NoiseData:
-        """The inputs of the problem: light, exposure and number of frames of the fitted levels,
-        among others."""
+        """The inputs of the problem: light, exposure and frames of the levels, and more."""
         return self.problem.inputs
 
     @property
@@ -217,8 +214,7 @@ class LikelihoodFit:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors on the unconstrained scale by name, inflated if the misfit is
-        significant."""
+        """Standard errors on the unconstrained scale, inflated by a significant misfit."""
         variances = self.inflation * np.diagonal(self.covariance)
         return dict(zip(names(self.space), np.sqrt(variances).tolist(), strict=True))
 
@@ -230,8 +226,7 @@ def observations(problem: Problem) -> int:
 
 
 def start_vector(problem: Problem, standard: Sheet) -> Float[Array, " p"]:
-    """Return the starting point of a fit: the standard's figures, no compression, and slight
-    scatter."""
+    """Return the start: the standard's figures, no compression, slight scatter."""
     data, (mean, variance, _, spatial) = problem.inputs, problem.data.T
     dark, gain = data.lit == 0, standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
@@ -292,8 +287,7 @@ def fit_model(
     without: Sequence[str] = (),
     near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
-    """Fit one model, without the candidates `without`, and compute its chi-square. If a fit `near`
-    is given, the search starts at its optimum."""
+    """Fit one model, without some candidates, from the optimum of a fit `near` if given."""
     start = np.array(start_vector(problem, standard))
     if near is not None:
         start[np.isin(names(problem.space), names(near.space))] = near.optimum.vector
@@ -318,8 +312,7 @@ def _chi_square(vector: Array, problem: Problem) -> Array:
 
 
 def fit_without_levels(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
-    """Fit the same model without some levels, with the program that is already compiled. The first
-    level cannot be left out."""
+    """Fit the same model, with the same program, without some levels but the first."""
     gone, problem = jnp.asarray(left_out)[:, None], fit.problem
     assert problem.present is not None
     problem = eqx.tree_at(
@@ -336,8 +329,7 @@ def fit_without_levels(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]
 
 
 def posterior_problem(fit: LikelihoodFit) -> Problem:
-    """Return the problem of the fitted parameters alone, with errors enlarged by a significant
-    misfit and with priors for random scatter."""
+    """Return the problem of fitted parameters, with wider errors and scatter priors."""
     problem = replace_parameters(fit.problem, fit.space) if fit.without else fit.problem
     scattered = any(name in SCATTERS for name in names(fit.space))
     return eqx.tree_at(
@@ -352,9 +344,7 @@ def likelihood_sheet(
     saturation: Float[Array, ""] | None,
     args: tuple[ParameterSpace, NoiseData, Bool[Array, " levels"]],
 ) -> Sheet:
-    """Compute the standard's figures from the likelihood's parameters, with gain and responsivity
-    at zero signal.
-    """
+    """Compute the standard's figures from the likelihood's, at zero signal."""
     space, data, linearity = args
     values = natural_values(space, vector)
     gain = values["system_gain"]
@@ -378,16 +368,13 @@ def likelihood_sheet(
 
 
 def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
-    """Return 1 - h'(X), the relative decrease of the gain from zero signal to the brightest level
-    X."""
+    """Return 1 - h'(X), the relative loss of gain at the brightest level X."""
     top = data.top_signal
     return 1 - jax.grad(lambda x: compressed(values, x, top))(top)
 
 
 def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
-    """Return the random effects that the darks need: means or variances that scatter about their
-    line over exposure by more than noise of pixels, rows, columns and frames explains.
-    """
+    """Return the effects of darks that scatter about their line beyond known noise."""
     dark = measurement.dark
     errors = sampling_errors(
         dark,

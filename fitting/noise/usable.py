@@ -117,8 +117,7 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
 
 
 def _refuse_light_per_second(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Raise InputError if the signal is proportional to the stated photons times the exposure, and
-    not to the photons: then these are stated per second."""
+    """Refuse photons per second: the signal follows photons times exposure."""
     bright = measurement.bright
     light, exposure = (np.asarray(x)[usable] for x in (bright.light, bright.exposure))
     signal = signal_of(measurement)[usable]
@@ -135,8 +134,7 @@ def _refuse_light_per_second(file: Path, measurement: PhotonTransfer, usable: np
 
 
 def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Raise InputError if the darks have another black level than the flats: variance and light of
-    the flats then extrapolate to another mean without signal."""
+    """Refuse darks of another black level than that to which the flats extrapolate."""
     bright, dark = measurement.bright, measurement.dark
     levels = usable[np.asarray(bright.light)[usable] > 0]
     if len(levels) < FEWEST_FOR_BLACK:
@@ -165,8 +163,7 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
 def _extrapolated_zero(
     x: np.ndarray, y: np.ndarray, errors: np.ndarray
 ) -> tuple[float, float, float]:
-    """Fit a parabola to y over x. Return the value and slope of the parabola at x = 0, and the
-    standard error of the value, from the scatter of y."""
+    """Fit a parabola; return its value and slope at x = 0, and the value's error."""
     design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))
     found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)

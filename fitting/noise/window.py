@@ -45,8 +45,7 @@ def usual_moments_error(
     frames: Float[np.ndarray, " levels"],
     pixels: float,
 ) -> LeftOut:
-    """Return the largest possible errors of the usual mean and variance for a rounded, clipped
-    signal."""
+    """Return the largest errors of the usual moments of a rounded, clipped signal."""
     own = np.maximum(variance - ROUNDING, 0)
     decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
     of_mean = (decay / (np.pi * HARMONICS)).sum(1)
@@ -66,8 +65,7 @@ def usual_moments_error(
 def _convert_to_codes(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[NoiseData, np.ndarray, np.ndarray]:
-    """Return the inputs of a fit to the bright levels `usable` and to all darks, and the means and
-    variances of these levels, converted from DN to codes of the converter."""
+    """Return inputs of a fit, and means and variances of its levels in codes."""
     (data, rows), converter = noise_data(measurement, usable), measurement.converter
     mean, variance = np.asarray(rows)[:, :2].T
     return data, (mean - converter.lowest) / converter.step, variance / converter.step**2
@@ -76,8 +74,7 @@ def _convert_to_codes(
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
-    """Return the weights for exact moments if clipped black or small read noise requires exact
-    moments, else None."""
+    """Return the weights for exact moments if they are needed, else None."""
     left_out = LeftOut(NAME, None, 0.0)
     if measurement.converter.step:
         data, mean, variance = _convert_to_codes(measurement, usable)
@@ -88,8 +85,7 @@ def needed_window(
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """Compute the weights for exact means and variances (`quantised`), for the darks and for all
-    levels that clipping or rounding may affect."""
+    """Compute the weights for exact moments of darks and of levels that may need them."""
     data, mean, variance = _convert_to_codes(measurement, usable)
     lit, converter = np.asarray(data.lit), measurement.converter
     deviation, dark = np.sqrt(variance), lit == 0
@@ -120,8 +116,7 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
 def offset_data(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> OffsetData | None:
-    """Return the spatial variances of the darks as data of the fit; None if these variances are
-    unknown or insignificant."""
+    """Return the darks' spatial variances as data; None if unknown or insignificant."""
     dark = measurement.dark
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None

@@ -143,8 +143,7 @@ def _mixture(
 
 
 def _deviation(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
-    """Return the covariance of ln X(u) - ln X(edge) for a local exponent d ln X / d ln u that is an
-    Ornstein-Uhlenbeck process in ln u with unit variance."""
+    """Return the covariance of ln X(u) - ln X(edge) of an Ornstein-Uhlenbeck exponent."""
     off = (log_u - edge) / CORRELATION_LENGTH
     size, side = np.abs(off), np.sign(off)
     fall = np.exp(-size)

@@ -114,9 +114,7 @@ def calibrate(
 def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """Return the stack and its calibration with exact exposure times if the stated times are
-    rounded for display and the images agree with the exact times. Otherwise return both
-    unchanged."""
+    """Return stack and calibration, with exact times if the stated are rounded."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -151,9 +149,7 @@ def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> str:
-    """Return a sentence that names the images without which all others agree on a curve. The
-    sentence is empty if there are no such images. Several images may qualify, because a free curve
-    can adapt to a wrong image near the end of a stack."""
+    """Name the images without which all others agree on a curve; "" without any."""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return ""
@@ -238,9 +234,7 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """Return the first set of codes for which a curve can be fitted, and the curve. All sets are
-    first tried for a curve through mid-scale, then for a curve without that condition. If no fit
-    succeeds, raise the last error."""
+    """Return the first codes that a curve fits, and it: through mid-scale, else dim."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
@@ -280,9 +274,7 @@ def crop_alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
-    """Combine the radiance maps of a colour's amplifier taps to one map. The radiances of each tap
-    are relative to the mid-scale of that tap, so the ratio between two taps is estimated from
-    neighbouring pixels."""
+    """Combine a colour's taps to one map, by ratios of neighbouring pixels."""
     first = taps[0]
     bins, factor = first.curve.bins, np.float32(1)
     if bins.anchor is not None:  # no pixel is at mid-scale, where relative exposure is 1

@@ -69,9 +69,7 @@ def _neighbourhood(mask: np.ndarray) -> np.ndarray:
 
 
 def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
-    """Return a mask of probable hidden peaks. The contrast of the shorter exposure to the mean of 3
-    x 3 pixels is increased, to undo a blur. A peak is probable where the result reaches the codes
-    that clip in the longer exposure."""
+    """Return probable hidden peaks: sharpened, a shorter exposure reaches clipping codes."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
         clipped = (longer >= clip) & scene

@@ -211,9 +211,7 @@ def _mean_over_centre(x: np.ndarray) -> np.ndarray:
 
 
 def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return dg / dcode at the edges of bins. The local exponent dg / d ln(code - black) is
-    smoothed, because errors in the slope of a noisy curve correlate with the noise to be
-    corrected."""
+    """Return dg / dcode at bin edges by a smoothed exponent, which noise hardly moves."""
     apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
     near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHING) ** 2) / 2)

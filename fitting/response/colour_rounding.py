@@ -33,8 +33,7 @@ MOST_PIXELS = 1 << 19  # pixels examined
 def shared_rounding(
     codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
 ) -> Float[np.ndarray, "256"] | None:
-    """Return, for each code of one colour channel, the standard deviation in DN of the error that
-    all pixels of this code share; None for pictures that were never JPEG."""
+    """Return each code's error that its pixels share, DN rms; None if never JPEG."""
     if max(int(one.max()) for one in codes) > 255:
         return None
     every = max(1, codes[0].size // MOST_PIXELS)

@@ -159,8 +159,7 @@ class ResponseCurve:
 
     @property
     def monotone(self) -> bool:
-        """Whether g rises with the code over the observed codes, or decreases by less than three
-        standard errors."""
+        """Whether g rises with the code, or falls by less than three standard errors."""
         g, covariance = self.log_exposure[self.seen], self.covariance[np.ix_(self.seen, self.seen)]
         step = np.diff(g)
         variance = np.diagonal(np.diff(np.diff(covariance, axis=0), axis=1))
@@ -321,8 +320,7 @@ def _require_rising(curve: ResponseCurve) -> None:
 
 
 def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Select the pixels for the pilot fit among those that are `linked` (well exposed in two
-    images), about the same number from each class of steepness."""
+    """Select pixels of the pilot fit among `linked` ones, evenly over the classes."""
     picked = []
     for kind in range(int(classes.max()) + 1):
         own = np.flatnonzero(linked & (classes == kind))
@@ -333,8 +331,7 @@ def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
 def _parts(
     codes: np.ndarray, bins: CodeBins, layout: Layout | None, linked: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the indices of the pixels usable in two images, divided by tile and by class of
-    activity, and the median activity of each class. Pixels without positions form one part."""
+    """Return usable pixels by tile and class of activity, and each class's activity."""
     usable = np.flatnonzero(np.count_nonzero(bins.lookup[codes] >= 0, axis=0) >= 2)
     if layout is None:
         return [usable], np.zeros(1)
@@ -353,8 +350,7 @@ def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.nda
 
 
 def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the indices of the exposures that have enough well exposed pixels in common with at
-    least one other exposure. Raises InputError unless these form one connected set."""
+    """Return exposures with well exposed pixels in common; refuse separate sets."""
     usable = (bins.lookup[codes] >= 0).astype(int)
     shared = usable @ usable.T
     np.fill_diagonal(shared, 0)
@@ -371,8 +367,7 @@ def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
 
 
 def _shutter_error(found: Solution) -> float | None:
-    """Estimate tau, the shutter error, from the images alone (Paule & Mandel, J. Res. NBS 87,
-    1982); None if the pixels' noise explains the scatter."""
+    """Estimate tau from the images alone (Paule & Mandel 1982); None if noise explains all."""
     if not len(found.free):
         return None
     pull, information = _image_information(found)

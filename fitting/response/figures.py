@@ -176,8 +176,7 @@ def encoded(radiance: Float[np.ndarray, "h w *rgb"], white: float) -> np.ndarray
 def _middle_exposure(
     calibration: ResponseCalibration, group: str
 ) -> tuple[Float[np.ndarray, "h w *rgb"], float]:
-    """Return the radiance that the middle exposure of a group alone gives, and its time in s.
-    Clipped pixels get the radiance of the brightest code."""
+    """Return the radiance from the middle exposure alone, and its time in s."""
     found, seconds = [], np.nan
     for channel in calibration.channels:
         plane, curve = channel.plane, channel.curve

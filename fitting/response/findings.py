@@ -99,8 +99,7 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
-    """Return the lowest code of all images, without pixels that never change, if a black level of 0
-    DN was only assumed and that code is above 1; else None."""
+    """Return the lowest code if it is above an assumed black level; else None."""
     if any(c.plane.black_measured or c.plane.black >= 0.5 for c in channels):
         return None
     lowest = []
@@ -185,8 +184,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
-    """If exposure times scatter more than real shutters do, name the time to check: that of the
-    most deviating image, or all. Otherwise return an empty string."""
+    """Name the exposure time to check if times scatter more than shutters do; else ""."""
     shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SUSPECT_SHUTTER_ERROR]
     if not shaky:
         return ""
@@ -204,8 +202,7 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
 
 
 def exposure_step(channel: ChannelResponse) -> tuple[str, float] | None:
-    """Return the first image from which on the light is another one than the times state, and the
-    factor, if such a step explains how the images disagree on times; else None."""
+    """Return the image from which the light steps, and the factor; else None."""
     curve, plane = channel.curve, channel.plane
     if not (curve.shutter_error or 0.0) > SUSPECT_SHUTTER_ERROR:
         return None
@@ -230,8 +227,7 @@ def _step_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _untested_codes(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding if deviations from a gamma at codes outside the tested range are significant
-    and larger than those within; else an empty string."""
+    """Return a finding on larger deviations from gamma outside the tested codes."""
     found = []
     for channel in channels:
         curve, gap, error = (
@@ -257,8 +253,7 @@ def _untested_codes(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding that states for each channel at which codes the curve is extrapolated, if
-    many codes are; else an empty string."""
+    """Return a finding on codes at which curves are extrapolated, if many are."""
     sentences = []
     for channel in channels:
         curve = channel.curve
@@ -304,8 +299,7 @@ def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _moved_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on pixels at which an image shows something else than the other images; an
-    empty string if there are none."""
+    """Return a finding on pixels that show something else in one image."""
     held = [(c, c.curve.held_out) for c in channels if c.curve.held_out is not None]
     known = [(c, one) for c, one in held if np.isfinite(one.far).any()]
     channel, worst = max(known, key=lambda own: np.nanmax(own[1].far), default=(None, None))
@@ -324,8 +318,7 @@ def _moved_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _local_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on what exposures of encoded pictures do not show: a factor of each place,
-    which changes with the exposure by a power."""
+    """Return a finding on tone mapping by place, which exposures do not show."""
     gammas = [channel.gamma.gamma for channel in channels]
     encoded = any(
         one.value is not None and abs(one.value - 1) > ENCODED + 3 * (one.standard_error or 0.0)
@@ -411,8 +404,7 @@ def _one_hue_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding if the exposure of a red or blue code is a power of the exposure of the same
-    green code, as with a varying white balance."""
+    """Return a finding on colours whose exposures are powers of each other."""
     powers = []
     for green in (c for c in channels if c.plane.channel == "green"):
         for other in channels:
@@ -431,9 +423,7 @@ def _colours_apart_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _power_of(curve: ResponseCurve, reference: ResponseCurve) -> tuple[float, float]:
-    """Return the exponent p for which the exposures of one curve equal the exposures of another
-    raised to the power p, and the standard error of p. The error assumes that the errors of all
-    codes are fully correlated."""
+    """Return the power between the exposures of two curves, and its largest error."""
     codes = curve.codes[curve.seen]
     x = np.interp(codes, reference.codes, reference.log_exposure)
     x = np.where(np.interp(codes, reference.codes, reference.seen) > 0.5, x, 0.0)
@@ -464,8 +454,7 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on channels whose curve has the least smoothness that the fit allows, except
-    where the curve is a gamma within its errors."""
+    """Return a finding on curves of the least smoothness that are no gamma."""
     if not any(c.curve.smoothness <= ROUGHEST for c in channels):
         return ""
     rough = [

@@ -38,8 +38,7 @@ LEAST_RELATIVE_SPREAD = 0.5  # least spread of the activity at a code, relative 
 
 
 def is_registered(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Return whether the images are registered. Images count as registered if the noise variance at
-    steep places is less than twice that of flat places."""
+    """Return whether noise of steep places is less than twice that of flat ones."""
     if any(noise is None for noise in noises):
         return False
     at = np.zeros(1)  # mid-scale
@@ -86,9 +85,7 @@ def correct_to_flat_places(
 
 
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
-    """Return the standard deviation of the activity among observations of the same code, as a
-    median over codes. This deviation is small if the activity is equal everywhere, or if the
-    activity is a function of the code, as on a ramp. `weights` has the shape (classes, bins)."""
+    """Return the activity's deviation among observations of a code, median over codes."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
@@ -98,9 +95,7 @@ def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
 def _subtract_departure(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
-    """Subtract the deviation `departure` from the solution, shrunk according to its noise, which
-    `by_tile` (tiles, bins), the scatter of the deviation over tiles, gives. An insignificant
-    deviation is not subtracted."""
+    """Subtract a significant departure, shrunk by its scatter over tiles."""
     deviation = np.sqrt(np.sum(by_tile**2, axis=0))
     if not (deviation[seen] > 0).all():
         return found

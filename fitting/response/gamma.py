@@ -119,8 +119,7 @@ class Mixture:
         return quantile_estimate(what, ends[2], spread, ends, method="marginal", group=group)
 
     def draws(self, count: int, seed: int) -> Float[np.ndarray, "count 2"]:
-        """Draw the parameter and tau: first a grid point by its weight, with ln tau uniform about
-        it, then the parameter given that grid point."""
+        """Draw the parameter and tau: a grid point by weight, then values about it."""
         rng = np.random.default_rng(seed)
         which = rng.choice(len(self.log_tau), size=count, p=self.weights)
         step = (self.log_tau[1] - self.log_tau[0]) * rng.uniform(-0.5, 0.5, count)
@@ -222,9 +221,7 @@ def _undetectable(
     black_sd: float,
     exposure_sd: float,
 ) -> tuple[LeftOut, ...]:
-    """Return those stated errors of the black level and of the exposures that are too small to
-    matter. `of_black` is the change of ln X by a black-level error of one standard deviation;
-    `overstated` is the factor by which the pixels overstate the information."""
+    """Return stated errors too small to matter beside the pixels' information."""
     # The energy of the code pairs, v' A v / 2 for a shift v of the curve and of the log exposures,
     # is half the squared shift in standard deviations of all pixels, with their irradiances
     # eliminated. Therefore |h|^2 = v' A v for an error of one standard deviation.
@@ -279,9 +276,7 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
 
 
 def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the covariance of (ln gamma, ln tau) under the posterior on the grid. The curvature at
-    the mode would not give it, because the density is nearly flat in ln tau if no shutter error is
-    visible."""
+    """Return the covariance of (ln gamma, ln tau) on the grid; the mode is too flat."""
     mean = np.asarray(given.mean)
     away = np.stack([np.log(mean), log_tau])
     away -= (away @ weights)[:, None]
@@ -291,8 +286,7 @@ def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
-    """Return the ratio of two chi-squares, of the best gamma and of the free curve; at least 1.
-    This ratio widens the intervals of gamma if the response is not a pure gamma."""
+    """Return chi-square of the best gamma over that of the free curve, at least 1."""
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
@@ -326,9 +320,7 @@ def _omitted_variance(
 
 
 def _reweighted_gammas(curve: ResponseCurve) -> list[tuple[float, float]]:
-    """Return (gamma, its variance) from the slope of the curve over the central codes, first with
-    equal weights for equal steps in code, then with equal weights for equal steps in ln (code -
-    black)."""
+    """Return (gamma, variance) of central slopes weighted evenly in code, then in ln code."""
     z = curve.codes - curve.bins.black
     share = z / (curve.bins.edges[-1] - curve.bins.black)
     used = curve.seen & (share > EDGES[0]) & (share < EDGES[1])
@@ -350,8 +342,7 @@ def _gamma_sums(
     known: float = 0.0,
     stated: float = 0.0,
 ) -> GammaSums:
-    """Return the sums over all pixels. `known` is the stated shutter error, or 0 if the stated
-    error is negligible. In both cases `stated` determines the prior on tau."""
+    """Return the sums over pixels; `stated` sets the prior of tau, `known` is added to it."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated

@@ -113,9 +113,7 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Threshold two images at a quantile of their codes: 1 where a pixel is brighter than the
-    quantile, -1 where it is darker, 0 where it is NaN. Return None if the quantile is black or
-    saturated in either image."""
+    """Threshold two images at a quantile (1, -1, 0 for NaN); None if it is black or saturated."""
     found = []
     for image in (one, other):
         level, black = np.nanquantile(image, quantile), float(np.nanmin(image))

@@ -102,8 +102,7 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Return the number of observations minus the number of pixels, each of which has an unknown
-    irradiance. Raise `InputError` if the result is not positive."""
+    """Return observations less pixels; refuse if it is not positive."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)

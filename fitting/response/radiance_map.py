@@ -53,8 +53,7 @@ def merge(
     *,
     signed: bool = True,
 ) -> RadianceMap:
-    """Merge codes to a radiance map. The estimated shutter offsets are not applied to the exposure
-    times, because an apparent shutter offset may be a slight misfit of the curve."""
+    """Merge codes to a radiance map, without shutter offsets, which may be misfit."""
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
     radiance, error = np.empty(count, np.float32), np.empty(count, np.float32)

@@ -237,8 +237,7 @@ def _drop_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
 def _drop_odd_images(
     rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
 ) -> tuple[Exposure, ...]:
-    """Return the exposures whose images show one still scene and get brighter with the exposure
-    time. Add findings on all other exposures to `remarks`."""
+    """Return exposures of one still scene in order; add findings on the others."""
     top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
     for entry in entries:
         frame = images[entry.file]
@@ -272,8 +271,7 @@ def _drop_odd_images(
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:
-    """Return the step between possible codes and the origin of their grid: all codes are the origin
-    plus a multiple of the step. Return 1 and 0 if no step above 1 explains all codes."""
+    """Return step and origin of the grid of all codes; 1 and 0 without one."""
     step = round(converter.step)
     even = converter.even and step > 1 and step == converter.step
     return (step, round(converter.origin)) if even else (1, 0)
@@ -411,8 +409,7 @@ def floor_level(
 
 
 def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels that have the same code in all images. It is empty unless the
-    exposures span a factor of 8."""
+    """Return a mask of pixels of one code in images that span a factor of 8 or more."""
     if exposures[-1] < LEAST_EXPOSURE_RATIO * exposures[0]:
         return np.zeros(codes.shape[1:], bool)
     return (codes == codes[0]).all(axis=0)
@@ -421,8 +418,7 @@ def unchanged(codes: Codes, exposures: Float[np.ndarray, " exposures"]) -> Bool[
 def _find_overlays(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], black: float, clip: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of pixels that do not show the scene, such as overlays. The codes of such
-    pixels do not change with the exposure, are not clipped and are too high for dark pixels."""
+    """Return a mask of lit pixels that neither change nor clip, such as overlays."""
     lit = codes[0] > black + DIM_SHARE * (clip - black)
     return unchanged(codes, exposures) & lit & (codes[0] < clip)
 

@@ -77,8 +77,7 @@ class Repeats:
     def excess_variance(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
-        """Return the jackknife variance in excess of `explained`, 0 where the excess is not
-        significant, and its degrees of freedom, the number of fits minus `lost`."""
+        """Return significant variance beyond `explained`, else 0, and its degrees."""
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, FALSE_ALARM_PROBABILITY) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
@@ -170,8 +169,7 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the variance of g at the centres of bins, from the covariance of the right-hand side
-    of the normal equations."""
+    """Return the variance of g at bin centres by that of the equations' right side."""
     size = len(found.means)
     rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
@@ -180,9 +178,7 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
 def _usual_errors(
     missed: Float[np.ndarray, " pixels"], predicted: Float[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Return, for each pixel, the median error in DN of the pixels with the same prediction, but no
-    less than the median of all. Bright pixels have more shot noise. Pixels that clip in longer
-    exposures are predicted from dark ones."""
+    """Return the median error of pixels of equal prediction, at least that of all, DN."""
     usual = np.empty(len(missed))
     for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS):
         usual[group] = np.median(missed[group])
@@ -197,8 +193,7 @@ def _prediction_error(
     coarse: CodeBins,
     pilot: Pilot,
 ) -> tuple[float, float]:
-    """Return the rms difference, DN, of exposure j from its prediction by the others, and the share
-    of pixels whose difference is many times the usual one."""
+    """Return exposure j's rms prediction error, DN, and the share of far pixels."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule

@@ -68,8 +68,7 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
 
 
 def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
-    """Return the estimates of gamma and the shutter error. If the response is not a pure gamma,
-    give the reason instead, because the misfit would bias both."""
+    """Return gamma and shutter error, or why a response that is no gamma has none."""
     if step := exposure_step(channel):
         reason = f"the light changes by a factor of {step[1]:.3g} at {step[0]}, as the findings say"
         names = (GAMMA, SHUTTER_ERROR)

@@ -61,8 +61,7 @@ class Shape:
 
 
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
-    """Return a mask of the codes that are tested: between 5 and 95 % of the range, with an error of
-    the curve below 5 % and noise of a pixel below 10 %."""
+    """Return the tested codes: 5 to 95 %, curve known to 5 %, a pixel to 10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < LARGEST_STANDARD_ERROR) & (
@@ -95,8 +94,7 @@ def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
 
 
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
-    """Test the shape of each channel. The significance level is divided among the channels, so that
-    it holds for all channels together."""
+    """Test each channel's shape, at a level that holds for all channels together."""
     chance = FALSE_ALARM_PROBABILITY / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 
@@ -120,8 +118,7 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
 def _significant_codes(
     curve: ResponseCurve, judged: np.ndarray, chance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Test the deviations of all codes from a straight line together. Return a mask of the codes
-    with a significant deviation, and the standard errors of the deviations."""
+    """Test all deviations from a line together; return a mask and their errors."""
     log_z = np.log(curve.codes[judged] - curve.bins.black)
     line = np.stack([np.ones(len(judged)), log_z], axis=1)
     weight = np.maximum(curve.standard_error[judged], SURELY_KNOWN) ** -2

@@ -115,8 +115,7 @@ def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
-    """Return an orthonormal basis of the visible shutter errors, that is, of errors orthogonal to
-    the two invisible ones: a common factor and a common exponent of the times."""
+    """Return an orthonormal basis of errors that are no common factor or exponent."""
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 
@@ -197,8 +196,7 @@ def solve(
 def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """Return the change of the best gamma for a black level lower by its deviation; 0 if
-    unknown."""
+    """Return the best gamma's change for black lower by its deviation; 0 if exact."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0

@@ -60,14 +60,12 @@ class Pooled:
 
     @property
     def serves(self) -> bool:
-        """Whether the report gives one value for all settings, because the values of the settings
-        agree or differ by less than 10 %."""
+        """Whether one value serves all settings: they agree, or differ by less than 10 %."""
         return self.holds or self.spread < LARGEST_RELATIVE_SPREAD * abs(self.value)
 
     @property
     def known_to(self) -> float:
-        """Standard error of the average, including the scatter between settings if the settings
-        disagree."""
+        """Standard error of the average, with the scatter between settings that disagree."""
         return self.error if self.holds else float(np.hypot(self.error, self.spread))
 
     @property
@@ -114,8 +112,7 @@ def pattern(
 
 
 def _average(settings: tuple[int, ...], values: np.ndarray, errors: np.ndarray) -> Pooled:
-    """Return the weighted mean of the settings' values, with its standard error, chi-square, and
-    rms deviation of the settings."""
+    """Return the weighted mean of the settings' values, with error, chi-square and rms spread."""
     weights = 1 / errors**2
     average = float(np.average(values, weights=weights))
     chi_square = float(np.sum(weights * (values - average) ** 2))
@@ -159,8 +156,7 @@ class CameraCalibration(ShownInNotebooks):
 
     @property
     def is_impossible(self) -> bool:
-        """Whether the quantum efficiency exceeds 1 at any setting, by more than its error
-        explains."""
+        """Whether the quantum efficiency significantly exceeds 1 at any setting."""
         draws = zip(names(self.posterior.space), self.posterior.samples.T, strict=True)
         own = [one for name, one in draws if name.partition("[")[0] == "quantum_efficiency"]
         return any(np.quantile(one, QUANTILES[0]) > 1 for one in own)

@@ -64,8 +64,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
 
 
 def gain_figure(calibration: CameraCalibration) -> "Figure":
-    """Draw the conversion gain K against the stated gain, with a second panel of the deviations of
-    K from proportionality."""
+    """Draw the gain K against the stated gain; below, its deviations from proportionality."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
     proportion = proportional_gain(fit)
@@ -98,8 +97,7 @@ def gain_figure(calibration: CameraCalibration) -> "Figure":
 
 
 def read_noise_figure(calibration: CameraCalibration) -> "Figure":
-    """Draw read noise against the conversion gain, with the fitted law (a part before and a part
-    behind the amplifier)."""
+    """Draw read noise against K, with the law of noise before and behind the amplifier."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, (axis, lower) = empty_panels(SIZE, rows=2, sharex=True, height_ratios=(3, 1.6))
@@ -177,8 +175,7 @@ def dark_current_figure(calibration: CameraCalibration) -> "Figure":
 def _draw_law(
     upper: "Axes", lower: "Axes", x: np.ndarray, curve: np.ndarray, drawn: np.ndarray, label: str
 ) -> float:
-    """Draw a fitted law with the 95 % band of its posterior draws and, in the lower panel, the band
-    in per cent of the law. Return the lowest value of the band."""
+    """Draw a law with the 95 % band of its draws; return the lowest value of the band."""
     band = np.quantile(drawn, HALF_BAND, axis=0)
     upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
     for axis, (low, high) in ((upper, band), (lower, 100 * (band / curve - 1))):
@@ -195,8 +192,7 @@ def _draw_settings(
     off: np.ndarray,
     error: np.ndarray,
 ) -> None:
-    """Draw the separate estimates of the settings with 95 % bars and, in the lower panel, the
-    deviations of these estimates from the joint fit in per cent."""
+    """Draw each setting's estimate with 95 % bars, and below its deviation from the joint fit."""
     style = {"fmt": ".", "color": BLUE, "lw": 0.8}
     upper.errorbar(x, value, bars, ms=6, label="each setting by itself", **style)
     lower.errorbar(x, 100 * off, 196 * error, ms=5, **style)
@@ -207,8 +203,7 @@ def _draw_settings(
 def _separate_estimates(
     calibration: CameraCalibration, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the indices of the settings whose separate fits determine a quantity, with the
-    estimates and their standard errors."""
+    """Return indices, estimates and errors of the settings that determine a quantity alone."""
     value, error = np.array([one.estimate(name) for one in calibration.fit.by_setting]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]

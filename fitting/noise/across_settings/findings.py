@@ -31,8 +31,7 @@ def findings(calibration: CameraCalibration) -> tuple[str, ...]:
 
 
 def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on an assumption that failed: the largest deviations from
-    the assumption and the result of its test. Return None if the assumption did not fail."""
+    """Return the largest deviations from an assumption that failed, and its test; else None."""
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
         return None
@@ -85,8 +84,7 @@ def _signed_text(one: OwnDeviation, scale: float = 100) -> str:
 
 
 def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding that the misfit of the joint fit is significant
-    (`beyond`), or is not; None if that finding does not apply."""
+    """Return the chi-square of the joint fit if its misfit is significant (`beyond`), or is not."""
     fit = calibration.fit
     if (fit.fit.noise > 1) != beyond:
         return None
@@ -100,8 +98,7 @@ def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding that measured gains are proportional to stated gains
-    (`holds`), or are not; None if that finding does not apply."""
+    """Return the test whether measured gains are proportional to stated ones, if it `holds`."""
     found = proportional_gain(calibration.fit)
     if found is None or (found[1] >= MISFIT) != holds:
         return None
@@ -115,9 +112,7 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current at several temperatures has no fitted law although no law was rejected.
-    `determined` selects the case in which the fit includes dark current, or the case in which it
-    does not."""
+    """Whether dark current has no fitted law though none was rejected; is it `determined`?"""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1
@@ -127,8 +122,7 @@ def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
 
 
 def _energy(calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on an activation energy that is implausible for silicon;
-    None if it is plausible."""
+    """Return an activation energy that is implausible for silicon; else None."""
     labels = [parameter.name for parameter in calibration.fit.fit.problem.space]
     if "activation_energy" not in labels:
         return None
@@ -141,8 +135,7 @@ def _energy(calibration: CameraCalibration) -> Numbers | None:
 
 
 def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on an average over settings that disagree; None if the
-    settings agree."""
+    """Return the test of an average over settings that disagree; None if they agree."""
     pooled = getattr(calibration, name)
     if pooled is None or pooled.holds:
         return None

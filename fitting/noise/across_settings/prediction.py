@@ -25,8 +25,7 @@ SHOWN = 3  # most settings whose missing effects are named
 
 @double_precision
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
-    """Predict the held-out levels of each setting by a joint fit to the other levels of all
-    settings."""
+    """Predict the held-out levels of each setting by a joint fit to the other levels."""
     lit = {
         setting: own
         for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)
@@ -58,8 +57,7 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
-    """Return findings on the accuracy of the predictions of held-out levels. If a prediction fails,
-    the findings name the effects that the model lacks."""
+    """Return findings on predictions of held-out levels, with the missing effects if they fail."""
     if not predictions:
         return ()
     sums: dict[str, Agreement] = {}

@@ -55,8 +55,7 @@ OWN_HEADINGS = {
 
 
 def section(calibration: CameraCalibration) -> Section:
-    """Return the report section of the joint fit: the parameters that all settings share, and the
-    parameters of each gain."""
+    """Return the report section of the joint fit: what settings share, and what each gain has."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
         f"sensor_{word_for_file(t)}".rstrip("_"): partial(write_sensor_at, calibration, g)
@@ -94,8 +93,7 @@ def sections(calibration: CameraCalibration) -> list[Section]:
 def records_of_sites(
     calibrations: Mapping[str, CameraCalibration], camera: Camera
 ) -> dict[str, Callable[[Path], None]]:
-    """Return a function for each gain, by file name, that writes the sensors of all mosaic sites as
-    one file; empty if any site has no sensor."""
+    """Return a writer of the sensor of all sites for each gain; {} if a site has no sensor."""
     each = calibrations.values()
     if len(calibrations) < len(camera.sites) or any(c.is_impossible or c.processed for c in each):
         return {}
@@ -201,9 +199,7 @@ def _root(
     scale: float = 1.0,
     parts: tuple[Part, ...] = (),
 ) -> Estimate:
-    """Return the standard deviation for an estimated variance `square`, or an upper bound if the
-    variance is not significant. `parts` are components of the variance that are known from few
-    samples."""
+    """Return the deviation of an estimated variance, or an upper bound if it is insignificant."""
     if square < SIGNIFICANCE_SIGMAS * error:
         bound = scale * np.sqrt(max(square, 0) + SIGNIFICANCE_SIGMAS * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")

@@ -90,8 +90,7 @@ def sensor_without(
     gain: float | None,
     temperature: float | None,
 ) -> tuple[Sensor, Sensor]:
-    """Return the sensors of `sensor_at`, computed from fits of the settings without the levels in
-    `left_out`."""
+    """Return the sensors of `sensor_at`, from fits without the levels in `left_out`."""
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     settings, posterior = calibration.settings, calibration.posterior
@@ -147,9 +146,7 @@ def sensor_without(
 
 
 def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None) -> Sensor:
-    """Return a sensor from the separate fit of one setting, in which the values of the joint fit
-    replace the fields that all settings share. If `law` is given, dark current follows Arrhenius'
-    law; else the sensor has the dark current in `shared`, or none."""
+    """Return the sensor of a setting's own fit with the fields that settings share replaced."""
     if law is not None:
         current, warmth, reference, energy = law
         current = ArrheniusDarkCurrent(
@@ -162,8 +159,7 @@ def _sensor(own: Sensor, shared: dict[str, Array], law: tuple[Array, ...] | None
 def _weights(
     settings: Sequence[Setting], factor: float, warmth: float | None
 ) -> Float[np.ndarray, " settings"]:
-    """Return the weight of each setting in a linear interpolation over temperature at each measured
-    gain, then over the logarithm of the gain."""
+    """Return the weights of the settings in an interpolation over temperature, then log gain."""
     log_factor = np.log([s.gain_factor for s in settings])
     kelvin = np.array([s.temperature or 1.0 for s in settings])
     every, gains = np.eye(len(settings)), np.unique(log_factor)
@@ -180,8 +176,7 @@ def _weights(
 
 
 def _distance(setting: Setting, factor: float, warmth: float | None) -> tuple[float, float]:
-    """Return the distance of a setting in log gain and in temperature, for sorting by gain
-    first."""
+    """Return the distance of a setting in log gain and in temperature, K."""
     by_gain = abs(float(np.log(setting.gain_factor / factor)))
     return by_gain, abs((setting.temperature or 0.0) - (warmth or 0.0))
 
@@ -192,8 +187,7 @@ def _condition_on_shared(
     at: Figures,
     left_out: Bool[np.ndarray, " levels"] | None,
 ) -> Numbers:
-    """Return draws of the parameters of setting `i` from its separate fit, conditioned on the
-    shared parameters of the joint fit."""
+    """Return draws of setting `i` from its own fit, conditioned on the joint fit."""
     own, known = calibration.calibrations[i], calibration.fit.by_setting[i].names
     assert own is not None
     numbers, covariance = drawn_numbers(own, left_out=left_out), own.posterior.covariance
@@ -220,9 +214,7 @@ def _condition_on_shared(
 def _black_level(
     calibration: CameraCalibration, i: int, at: Figures, numbers: Numbers | None
 ) -> Float[np.ndarray, " draws"]:
-    """Return the black level of a setting, DN, which does not include dark current. The black level
-    comes from the separate fit of the setting, or from all darks of the setting if it has no
-    flats."""
+    """Return the black level of a setting without dark current, DN."""
     frames = calibration.frames[i].frames
     darks = frames if isinstance(frames, Levels) else frames.dark
     weight = np.asarray(darks.frames) / np.asarray(darks.variance)
@@ -256,8 +248,7 @@ def _pattern(calibration: CameraCalibration) -> dict[str, float]:
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
-    """Write the sensor at a stated gain and the warmest temperature to a file, and its posterior
-    draws to a second file."""
+    """Write the sensor at a stated gain and the warmest temperature, and its draws."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
     at = Setting(gain, calibration.settings[0].gain_unit, warmest)

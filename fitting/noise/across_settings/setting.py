@@ -66,16 +66,14 @@ class SettingEstimates:
     covariance: Float[np.ndarray, "quantities quantities"]
 
     def estimate(self, name: str) -> tuple[float, float]:
-        """Return the value and standard error of a quantity; NaN if this setting does not determine
-        the quantity."""
+        """Return a quantity with its standard error; NaN if the setting does not give it."""
         if name not in self.names:
             return np.nan, np.nan
         place = self.names.index(name)
         return float(self.values[place]), float(np.sqrt(self.covariance[place, place]))
 
     def dark_current(self, gain: float) -> tuple[float, float]:
-        """Return the dark current and its standard error, e-/s. A setting of darks alone needs the
-        gain, DN/e-, for the conversion to electrons."""
+        """Return dark current and standard error, e-/s; darks alone need the gain, DN/e-."""
         if "dark_current" in self.names:
             return self.estimate("dark_current")
         rate, error = self.estimate("dark_signal_rate")
@@ -105,8 +103,7 @@ def estimates_from_calibration(
 
 
 def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
-    """Return the estimates from darks alone. Raises InputError for fewer than three different
-    exposures."""
+    """Return the estimates from darks alone, of three different exposures or more."""
     exposure, mean, variance = (np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance))
     if len(np.unique(exposure)) < FEWEST_EXPOSURES:
         raise InputError(
@@ -126,8 +123,7 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
 
 
 def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit a weighted line; return (slope, intercept) and their covariance. If the misfit is
-    significant, the covariance is multiplied by chi-square per degree of freedom (Birge)."""
+    """Fit a weighted line; return (slope, intercept) and their covariance, widened by a misfit."""
     found, covariance = np.polyfit(x, y, 1, w=variances**-0.5, cov="unscaled")
     chi_square = float(np.sum((y - np.polyval(found, x)) ** 2 / variances))
     return found, covariance * inflation(chi_square, len(x) - 2)

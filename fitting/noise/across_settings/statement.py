@@ -94,8 +94,7 @@ class Figures(eqx.Module):
 
 
 def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
-    """Return the camera's parameters at each setting: the values by the laws, plus `deviations` of
-    ln K, ln eta, ln sigma_d and I."""
+    """Return the camera at each setting by the laws, plus `deviations` from them."""
     off_gain, off_efficiency, off_read_noise, off_dark = values["deviations"]
     log_gain = jnp.log(values["system_gain"])[inputs["system_gain"]]
     log_efficiency = dark = None
@@ -212,16 +211,14 @@ class SharedFit:
 
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """(P, P) covariance of the parameters on the unconstrained scale, inflated if the misfit is
-        significant."""
+        """(P, P) covariance on the unconstrained scale, inflated by a significant misfit."""
         return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
 
 
 def fit_settings(
     settings: Sequence[Setting], estimates: Sequence[SettingEstimates], *, seed: int = 0
 ) -> SharedFit:
-    """Fit all settings together, and drop assumptions until none fails. Raises InputError if a
-    parameter is not identifiable."""
+    """Fit all settings together, and drop assumptions until none fails."""
     freed: frozenset[Law] = frozenset()
     failed: list[Claim] = []
     reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
@@ -249,8 +246,7 @@ def fit_settings(
 
 
 def _name_posterior(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
-    """Return the posterior with parameters named by gain, temperature or setting instead of an
-    index."""
+    """Return the posterior with parameters named by setting instead of an index."""
     space = tuple(
         replace(parameter, name=parameter.name + f"[{label}]" * bool(label), shape=())
         for parameter in found.problem.free
@@ -268,8 +264,7 @@ def _make_problem(
     freed: frozenset[Law],
     reference: float | None,
 ) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
-    """Return the problem without the dropped assumptions `freed`, the starting point of its fit,
-    and labels for parameters that have several values."""
+    """Return the problem without the claims `freed`, its start, and labels of its vectors."""
     table = np.array(
         [[one.estimate(name) for name in ESTIMATED] for one in estimates]
     )  # (settings, quantities, 2)
@@ -364,8 +359,7 @@ def _make_problem(
 def _nearest_with_flats(
     settings: Sequence[Setting], estimates: Sequence[SettingEstimates], i: int
 ) -> int:
-    """Return the index of the setting with flats at the same gain and the nearest temperature; `i`
-    itself if it has flats."""
+    """Return the index of the setting with flats of the same gain, nearest in temperature."""
 
     def distance(j: int) -> float:
         return abs((settings[i].temperature or 0) - (settings[j].temperature or 0))
@@ -376,8 +370,7 @@ def _nearest_with_flats(
 
 @eqx.filter_jit
 def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """Return the (data,) residuals, their derivatives with respect to the (P,) parameters and to
-    the (4, settings) deviations, and the (settings,) dark current."""
+    """Return residuals, their derivatives by parameters and by deviations, and dark current."""
 
     def residuals(vector: Array, deviations: Array) -> Array:
         values = values_at(problem, vector) | {"deviations": deviations}
@@ -396,8 +389,7 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
 def _test_assumptions(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
-    """Test the assumptions that were not dropped. Return the results for the assumptions that the
-    data could contradict."""
+    """Test the assumptions that were not dropped and that the data could contradict."""
     missed, by_vector, by_deviation, dark = (
         np.asarray(x) for x in _slopes(jnp.asarray(vector), problem)
     )

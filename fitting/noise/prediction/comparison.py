@@ -74,8 +74,7 @@ class Agreement:
 
     @property
     def is_missed(self) -> bool:
-        """Whether chi-square per degree of freedom differs from 1 by more than a tenth, and
-        significantly."""
+        """Whether chi-square per degree of freedom is off by over a tenth, significantly."""
         return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < FALSE_ALARM_PROBABILITY
 
 
@@ -200,8 +199,7 @@ def compare(
 
 
 def _end_codes(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
-    """Return a mask of the levels at which the camera predicts the first or the last code for every
-    pixel, without noise."""
+    """Return a mask of levels at which the camera predicts an end code for every pixel."""
     if sensor.bits is None:
         return np.zeros(values.shape[1], bool)
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
@@ -228,9 +226,7 @@ def _predict(
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
 ]:
-    """Return the predictions by the best estimate and by each draw of the camera, converted from
-    codes to the numbers in the file. Also return the covariance that the sampling of pixel offsets
-    adds. Without draws, the only prediction is that by the best estimate."""
+    """Return predictions by best estimate and draws, and the covariance by offsets."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()
@@ -268,8 +264,7 @@ def _predict(
 def _pixel_sampling_covariance(
     sensor: Sensor, found: Expected, levels: Frames
 ) -> Float[np.ndarray, "levels levels"]:
-    """Return the covariance between the levels' means, DN^2, due to the sampling of the pixels: the
-    mean gain and the mean offset of a few pixels deviate from the population means."""
+    """Return the covariance of level means by the sampling of pixels, DN^2."""
     rows, columns = levels.shape or 2 * (levels.pixels**0.5,)
     covariance = np.zeros(2 * found.signal.shape)
     for name, count, by in (
@@ -301,8 +296,7 @@ def _scale_light(
     seen: np.ndarray,
     shown: np.ndarray,
 ) -> Lit:
-    """Fit the scale of the light to the means of the frames; return the levels with scaled
-    light."""
+    """Fit the scale of the light to the frames' means; return the scaled levels."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     signal = (seen[0] - origin) / step - (0.0 if sensor.offset is None else float(sensor.offset))
     gain, efficiency = (

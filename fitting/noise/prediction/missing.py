@@ -94,8 +94,7 @@ def _filtering(along: str) -> Callable[[Size, Expected], str]:
 
 
 def _neighbour_mixing(neighbours: str) -> Callable[[Size, Expected], str]:
-    """Make the function that names mixing of neighbouring pixels which the fitted gain did not
-    include."""
+    """Make the function that names mixing which the fitted gain did not include."""
     return lambda a, e: (
         f"{neighbours} {a.format(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
@@ -300,8 +299,7 @@ class Missing:
 
 
 def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
-    """Find the missing effects that explain the misfit of a camera; an empty tuple if there is no
-    misfit."""
+    """Find the missing effects that explain a camera's misfit; () without a misfit."""
     agreement = comparison.agreement
     if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
         return ()
@@ -348,8 +346,7 @@ class _Fit:
         self._logs = self._fit_scatters(self._columns)
 
     def _take_noise(self) -> None:
-        """Divide residuals, covariances and signatures by the current expected noise of the
-        frames."""
+        """Divide residuals, covariances and signatures by the frames' expected noise."""
         comparison = self._comparison
         self._unit = np.sqrt(noise(comparison.levels, self._found)).ravel()
         self._known = np.eye(self._unit.size)
@@ -402,8 +399,7 @@ class _Fit:
         return {one.key: Size(float(size), float(error)) for one, size, error in both}
 
     def restated(self, found: list[Missing]) -> tuple[Missing, ...]:
-        """Return the effects with their sizes from the regression on all effects together. Effects
-        that are insignificant in this regression are omitted, unless none would remain."""
+        """Return the effects that stay significant in the regression on all of them."""
         sizes, named = self._chosen_sizes() if self._taken else {}, []
         by_key = {one.key: one for one in self._taken}
         for one in found:
@@ -416,8 +412,7 @@ class _Fit:
         return tuple(named or found)
 
     def _apply_effects(self, sizes: np.ndarray) -> Expected:
-        """Return the prediction with effects of these sizes. An error of the gain is applied after
-        the effects that act before the amplifier."""
+        """Return the prediction with effects of these sizes, that of the gain last."""
         found = self._comparison.found
         lines = {"row_noise": found.rows, "column_noise": found.columns}
         values, behind, gain = found.values.copy(), np.zeros_like(found.values), 0.0
@@ -441,8 +436,7 @@ class _Fit:
         return replace(found, values=values, rows=rows, columns=columns)
 
     def gain_of_scatter(self, place: int) -> float:
-        """Return the decrease of -2 log likelihood that a scatter gives, together with the chosen
-        effects."""
+        """Return the decrease of -2 log likelihood by a scatter beside the chosen effects."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
         return self._fit_unrestricted(self._columns, logs) - self._fit_unrestricted(
             self._columns, self._logs
@@ -456,8 +450,7 @@ class _Fit:
         return self._missing(SCATTERS[place], Size(value, value / np.sqrt(2 * levels)), gain)
 
     def agreement(self) -> dict[str, Agreement]:
-        """Return the agreement of each quantity with the prediction, after the chosen effects and
-        scatters are included."""
+        """Return each quantity's agreement with the chosen effects and scatters."""
         levels, found = self._comparison.noise.shape[1], {}
         own = self._covariance(np.where(self._named, self._logs, -np.inf))
         left = self._missed - self._columns @ self._sizes(self._columns, own)[0]
@@ -474,8 +467,7 @@ class _Fit:
         return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
 
     def _shape(self, one: Candidate) -> np.ndarray:
-        """Return the signature of a candidate divided by the standard deviations of the frames'
-        noise: the derivative of the prediction at the current gain."""
+        """Return a candidate's signature at the current gain, over the frames' noise."""
         gain = 1 + self._gain
         if one.key == GAIN:
             return np.concatenate([self._signal, *(2 * gain * self._noise)]) / self._unit
@@ -497,9 +489,7 @@ class _Fit:
         return self._known + np.diag(np.exp(logs) @ self._squares)
 
     def _fit_scatters(self, columns: np.ndarray) -> np.ndarray:
-        """Maximise the restricted likelihood of the residuals over the variances of the three
-        scatters (light, black level, variance), in a regression on `columns`, the signatures of
-        some effects. Return the logarithms of these variances."""
+        """Fit the log variances of the scatters by restricted likelihood, beside `columns`."""
 
         def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
             covariance = self._covariance(logs)
@@ -526,8 +516,7 @@ class _Fit:
         )
 
     def _sizes(self, columns: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fit the sizes of effects by generalised least squares; return the sizes and their
-        covariance."""
+        """Fit sizes of effects by generalised least squares; return them and their covariance."""
         unit = np.sqrt(np.sum(columns**2, axis=0))
         scaled = columns / unit
         of = np.linalg.solve(covariance, scaled)

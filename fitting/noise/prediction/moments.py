@@ -147,8 +147,7 @@ def levels_of(
 def expected(
     sensors: Sensor, lit: Lit, *, neighbours: bool
 ) -> Float[Array, "draws quantities levels"]:
-    """Predict the quantities in codes, for each of several sensors, without clipping at the ends of
-    the scale."""
+    """Predict the quantities in codes for several sensors, without clipping."""
 
     def predict(sensor: Sensor) -> Array:
         one = jax.vmap(lambda at: _quantities(sensor, at, neighbours=neighbours), out_axes=1)
@@ -169,8 +168,7 @@ def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
 
 
 def _level_sensor(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
-    """Return the sensor with the exposure time of ONE level and without frame noise, and the
-    level's light per second."""
+    """Return the sensor at ONE level's exposure without frame noise, and its light per s."""
     time = jnp.maximum(at.exposure, SHORTEST)
     offset = sensor.light_offset
     if offset is not None and not isinstance(offset, ShutterOffset):
@@ -181,8 +179,7 @@ def _level_sensor(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
 
 @compiled_briefly
 def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
-    """Return the electrons of each level, the codes per additional electron, and the derivative of
-    the code by the logarithm of the light."""
+    """Return electrons, codes per electron, and code per logarithm of light, by level."""
 
     def level_slopes(at: Lit) -> tuple[Array, Array, Array]:
         def codes_and_charge(more: Array) -> tuple[Array, Array]:
@@ -202,8 +199,7 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
 def touched_by_ends(
     sensor: Sensor, values: np.ndarray, electrons: np.ndarray, *, lowest: float = 0.0
 ) -> np.ndarray:
-    """Return a mask of the levels that the ends of the scale, the full well or coarse rounding
-    affect. `lowest` is the first code that occurs."""
+    """Return a mask of levels that the scale's ends, full well or coarse rounding affect."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
     near = np.zeros(mean.shape, bool)
     if sensor.bits is not None:

@@ -208,8 +208,7 @@ def predict(
 
 
 def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) -> list[str]:
-    """Return sentences on numbers that the camera does not state, and on levels that were left
-    out."""
+    """Return sentences on numbers that the camera does not state, and levels left out."""
     sentences = [
         f"{name} states no {field}: {taken} was taken."
         for field, taken in (("gain", "1 DN/e⁻"), ("offset", "a black level of 0 DN"))
@@ -231,9 +230,7 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 
 
 def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
-    """Return a sentence if the dark signal differs from the camera's by a large factor, or if the
-    darks are clipped at the first code although the camera's black level is above it. The result is
-    empty if the darks do not contradict the camera."""
+    """Return a sentence if dark signal or black level contradict the camera's; else ""."""
     dark, converter = measurement.dark, measurement.converter
     step, gain = converter.step or 1.0, 1.0 if camera.gain is None else float(camera.gain)
     black = converter.origin + step * (0.0 if camera.offset is None else float(camera.offset))
@@ -260,9 +257,7 @@ def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
 def _pattern_in_words(
     camera: Sensor, measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """Return sentences on a fixed pattern that is much smaller or much larger than the camera's.
-    Smoothly uneven light also increases the variance of a frame. A larger pattern is therefore
-    reported only if differences of neighbouring pixels show it."""
+    """Return sentences on a fixed pattern much smaller or larger than the camera's."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or bright.local_pattern is None:
         return []
@@ -357,8 +352,7 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
-    """Return the fitted scatter between levels that no camera file contains: the relative scatter
-    of the light and of the variances."""
+    """Return the fitted relative scatter of light and variances, in no camera file."""
     values = calibration.chosen.values
     drift = float(values.get("light_drift", 0.0))
     return {
@@ -391,8 +385,7 @@ def compared(
     camera: tuple[Sensor, Sensor | None],
     kept_out: Bool[np.ndarray, " levels"] | None,
 ) -> Comparison:
-    """Compare a calibration's own frames with a sensor that was fitted to all levels. If the sensor
-    was fitted without the levels `kept_out`, compare only these."""
+    """Compare own frames with a sensor; only levels `kept_out` if it was fitted without them."""
     own = {"shown": kept_out, "fitted": kept_out is None, **scatters(calibration)}
     return compare(*camera, calibration.measurement, calibration.usable, **own)
 

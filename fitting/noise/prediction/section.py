@@ -86,8 +86,7 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
 
 
 def explanations(prediction: Prediction) -> list[str]:
-    """Return sentences on the quantities that disagree and on the most likely cause; empty if none
-    disagrees."""
+    """Return sentences on quantities that disagree and on the most likely cause."""
     agreement = prediction.main_comparison.agreement
     sentences = []
     far = {name: agreement[name] for name in prediction.main_comparison.missed}
@@ -118,8 +117,7 @@ def explanations(prediction: Prediction) -> list[str]:
 
 
 def _scatter_alone(prediction: Prediction) -> bool:
-    """Return whether scatter of light, black level or variances between levels explains the whole
-    misfit, so that the camera lacks no effect."""
+    """Return whether scatter between levels explains the whole misfit."""
     scatters = {one.key for one in SCATTERS}
     if not prediction.missing or any(one.key not in scatters for one in prediction.missing):
         return False

@@ -26,8 +26,7 @@ NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixel
 
 
 def signal_to_noise(sheet: Release4) -> Picture:
-    """Return the figure of the *General* sheet (signal-to-noise ratio), as a function that draws
-    it."""
+    """Return the figure of the *General* sheet, drawn when asked."""
     return Picture(
         "signal_to_noise",
         "Signal to noise ratio without a model",
@@ -39,8 +38,7 @@ def signal_to_noise(sheet: Release4) -> Picture:
 
 
 def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
-    """Return the figures of the *Linear* sheet, as functions that draw them; none for a table
-    without images."""
+    """Return the figures of the *Linear* sheet, drawn when asked; () without images."""
     averages = sheet.stacks.averages
     if averages is None:
         return ()
@@ -190,8 +188,7 @@ def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
 
 
 def spectrograms_figure(averages: Averages) -> "Figure":
-    """Draw amplitudes over spatial frequency, in four panels: DSNU in the upper row and PRNU in the
-    lower row, the horizontal direction on the left and the vertical on the right."""
+    """Draw amplitudes over frequency: DSNU above PRNU, horizontal beside vertical."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     figure, axes = empty_panels((7.2, SIZE[1]), rows=2, columns=2, sharex=True, sharey="row")
@@ -213,8 +210,7 @@ def spectrograms_figure(averages: Averages) -> "Figure":
 
 
 def profiles_figure(averages: Averages) -> "Figure":
-    """Draw the profiles of clause 8.7 in DN, horizontal ones on the left and vertical ones on the
-    right."""
+    """Draw the profiles of clause 8.7, DN, horizontal beside vertical."""
     lit, unlit = averages.lit, averages.unlit
     figure, axes = empty_panels((7.2, SIZE[1]), rows=2, columns=2, sharex="col", sharey="row")
     for row, (name, image) in zip(

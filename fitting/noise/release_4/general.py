@@ -53,8 +53,7 @@ class General:
 
 
 def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels levels"]:
-    """Return the (levels, levels) matrix that gives the slope of the response at each level from
-    the signals of all levels."""
+    """Return the matrix that gives the response's slopes from the signals of all levels."""
     points = np.concatenate([[0.0], light])
     found = np.zeros((len(light), len(points)))
     for i, at in enumerate(light):
@@ -132,8 +131,7 @@ def general(
 def _draw_moments(
     levels: Levels, shared: SharedNoise | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw (draws, levels) means and variances with their sampling errors; the first row is the
-    measured one."""
+    """Draw (draws, levels) means and variances; the first row is the measured one."""
     nothing = jnp.zeros_like(levels.mean)
     errors = sampling_errors(levels, nothing, jnp.asarray(0.0), shared=shared)
     found = []

@@ -57,8 +57,7 @@ class Loss(NamedTuple):
 
 @cache
 def loss_of_filter() -> Loss:
-    """Compute the shares of variance and of degrees of freedom of independent rows, columns and
-    pixels that remain after the high-pass filter."""
+    """Compute the shares of variance and degrees of freedom that the high-pass leaves."""
     smooth = BINOMIAL
     for width in BOXES:
         smooth = np.convolve(smooth, np.ones(width) / width)
@@ -73,14 +72,12 @@ def loss_of_filter() -> Loss:
 
 
 def can_filter(shape: tuple[int, ...]) -> bool:
-    """Return whether a frame of this shape has at least 8 rows and columns inside the filter's
-    borders."""
+    """Return whether 8 rows and columns remain inside the filter's borders."""
     return min(shape) >= 2 * BORDER + FEWEST_LINES
 
 
 def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows columns"]:
-    """Apply the high-pass filter of clause 8.1 and cut off the borders of the frame. The mean of
-    the result is about 0."""
+    """Apply the high-pass of clause 8.1, and cut off the borders of the frame."""
     smooth = np.asarray(image, float)
     for width in BOXES:
         smooth = uniform_filter(smooth, width)
@@ -90,8 +87,7 @@ def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows column
 
 
 def split(image: Float[np.ndarray, "h w"], rest: float) -> Split:
-    """Compute the standard's spatial variances of an average frame, in which temporal noise of
-    variance `rest` remains."""
+    """Compute the standard's spatial variances, with temporal noise `rest` in the average."""
     (rows, columns), away = image.shape, image - image.mean()
     total = float(np.mean(away**2)) - rest
     col = float(np.mean(away.mean(axis=0) ** 2)) - rest / rows
@@ -108,8 +104,7 @@ def simulate(
     loss: Loss,
     rng: np.random.Generator,
 ) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
-    """Draw 2 x 2 covariances of the dark and the bright pattern for each part (rows, columns,
-    pixels and their total), given the average frames."""
+    """Draw 2 x 2 covariances of dark and bright pattern for each part, given the averages."""
     away = np.stack([dark - dark.mean(), bright - bright.mean()])
     of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
     own = away - of_rows[:, :, None] - of_columns[:, None, :]
@@ -136,8 +131,7 @@ def simulate(
 def _inverse_wishart(
     square: Float[np.ndarray, "2 2"], degrees: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "draws 2 2"]:
-    """Draw covariances from the inverse Wishart distribution of a mean square with `degrees`
-    degrees of freedom."""
+    """Draw covariances from the inverse Wishart distribution of a mean square."""
     values, vectors = np.linalg.eigh(square)
     root = vectors * np.sqrt(np.maximum(values, 0))
     wishart = np.zeros((DRAWS, 2, 2))

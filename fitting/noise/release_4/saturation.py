@@ -41,8 +41,7 @@ class Numbers:
 
 
 def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:
-    """Return the levels that release 4 uses in each figure, and whether the saturation point was
-    found from clipped numbers."""
+    """Return the levels of each figure, and whether clipped numbers show the saturation."""
     within = emva1288.ranges(measurement)
     if numbers is None or measurement.full_scale is None:
         return within, False
@@ -76,8 +75,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
 
 
 def _interpolate(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
-    """Interpolate the saturation light, with its standard error, between two levels that both have
-    numbers at the end of the scale and below."""
+    """Interpolate the saturation light, and its error, between two partly clipped levels."""
     deviates = ndtri(share)
     slope = (lights[1] - lights[0]) / (deviates[1] - deviates[0])
     low, light, high = lights[0] + slope * (ndtri(SHARES) - deviates[0])
@@ -90,8 +88,7 @@ def _interpolate(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tu
 def _gaussian_saturation(
     lights: np.ndarray, mean: np.ndarray, spread: np.ndarray, end: float, above: int
 ) -> tuple[float, float]:
-    """Extrapolate the saturation light, with its standard error, from mean and standard deviation
-    of the two levels below."""
+    """Extrapolate the saturation light, and its error, from two levels below."""
     one, two = above - 2, above - 1
     apart = lights[two] - lights[one]
     rate, growth = (mean[two] - mean[one]) / apart, (spread[two] - spread[one]) / apart

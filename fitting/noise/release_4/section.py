@@ -170,8 +170,7 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """Return the estimate of a standard deviation, from draws of its variance. If the draws do not
-    exclude 0, the estimate is an upper limit."""
+    """Return a deviation from draws of its variance, or a limit if they include 0."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
     if ends[0] <= 0 or variance <= 0:
@@ -262,9 +261,7 @@ def _unevenness(found: Mapping[str, Nonuniformity]) -> list[str]:
 
 
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
-    """Return findings on temporal noise of rows and columns that remains in the average frame, and
-    on a drift of the frames' means, which the standard's formulas subtract as if it were noise of
-    the pixels."""
+    """Return findings on noise of lines, and drift, that the standard misattributes."""
     measurement, unlit, sentences = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark

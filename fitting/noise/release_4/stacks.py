@@ -147,8 +147,7 @@ def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> St
 
 
 def _average(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
-    """Average the frames `names`. The sums are of deviations from the first frame, to reduce
-    rounding errors."""
+    """Average frames; the sums are of deviations from the first one, which are small."""
     first = np.asarray(plane(names[0]), float)
     total, squares = np.zeros_like(first), 0.0
     means, at_top = [], 0.0
