@@ -176,7 +176,7 @@ def brdf(
         bool, typer.Option("--fit-gamma", help="Rig: fit the encoding exponent of the images.")
     ] = False,
     minimum_cosine: Annotated[
-        float, typer.Option(help="Rig: leave out samples lit at a smaller n.l.", min=0.0, max=0.99)
+        float, typer.Option(help="Rig: leave out samples with a smaller n.l.", min=0.0, max=0.99)
     ] = 0.0,
     objective: Annotated[
         Objective | None,
@@ -377,7 +377,8 @@ def init(
 @failures()
 def study(
     kind: Annotated[
-        Literal["noise", "response", "brdf", "joint"], typer.Argument(help="Calibration of each.")
+        Literal["noise", "response", "brdf", "joint"],
+        typer.Argument(help="Calibration to run in each folder."),
     ],
     paths: Annotated[
         list[Path],
@@ -388,7 +389,7 @@ def study(
     ],
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0,
     no_reports: Annotated[
-        bool, typer.Option("--no-reports", help="Numbers only, in a tenth of the time.")
+        bool, typer.Option("--no-reports", help="Write only the numbers, in a tenth of the time.")
     ] = False,
     workers: Workers = 0,
     scheduler: Scheduler = "",

@@ -53,12 +53,12 @@ class Options:
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
     steps: Annotated[
         int | None,
-        typer.Option(help=f"Most steps of a chain of --mcmc (default: {STEPS}).", min=1),
+        typer.Option(help=f"Largest number of steps of --mcmc (default: {STEPS}).", min=1),
     ] = None
     walkers: Annotated[
         int | None,
         typer.Option(
-            help="Walkers of --mcmc: at least twice the number of parameters plus two "
+            help="Number of walkers of --mcmc: at least twice the number of parameters plus two "
             f"(default: {WALKERS}).",
             min=4,
         ),

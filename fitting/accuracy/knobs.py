@@ -8,7 +8,7 @@ _OF_RIGS = (
     Knob(
         "solver tolerance",
         "fall in cost",
-        "where a search for the mode ends",
+        "predicted decrease of the cost at which a search for the mode ends",
         (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7),
         (1e-9, 1e-11),
         sets=("*.minimise*.tolerance", "*.max_steps"),
@@ -32,7 +32,7 @@ _OF_RIGS = (
     Knob(
         "likelihood",
         "",
-        "of means and variances: regressions, Gaussian, or exact for rounded codes",
+        "likelihood of means and variances: regressions, Gaussian, or exact for rounded codes",
         ("moments", "gaussian", "exact"),
         ("exact",),
         sets=("*.noise_data.window", "*.NoiseData.window", "*.SensorCounts.reach"),
@@ -49,7 +49,7 @@ _OF_RIGS = (
     Knob(
         "chain length",
         "steps",
-        "of emcee's ensemble of 64 walkers, at most",
+        "largest number of steps of emcee's ensemble of 64 walkers",
         (50, 100, 200, 400, 800),
         (1600, 3200),
         order=-0.5,
@@ -77,7 +77,7 @@ _OF_RIGS = (
     Knob(
         "curve rounds",
         "rounds",
-        "most updates of the smoothness and shutter errors of a response curve",
+        "largest number of updates of smoothness and shutter errors of a response curve",
         (1, 2, 4, 8, 15, 30),
         (60,),
         sets=("*.solve.rounds", "*.fit_response_curve.rounds"),
@@ -87,7 +87,7 @@ _APART = (
     Knob(
         "Laplace draws",
         "draws",
-        "of the Gaussian about the mode",
+        "draws from the Gaussian about the mode",
         (100, 400, 1600, 4000),
         (25_600, 102_400),
         order=-0.5,
@@ -98,7 +98,7 @@ _APART = (
     Knob(
         "starts",
         "searches",
-        "starts over bounds and priors; the best optimum is kept",
+        "searches from starts spread over bounds and priors; the best optimum is kept",
         (1, 2, 4, 8, 16),
         (32, 64),
         random=True,

@@ -39,7 +39,7 @@ def no_maximum(problem: Problem, optimum: Optimum) -> list[str]:
         ]
     if optimum.stationary:
         return []
-    promise = f"another step promises {optimum.decrement:.2g} in log density"
+    promise = f"one more step would raise the log density by {optimum.decrement:.2g}"
     if not np.isfinite(optimum.decrement):
         promise = "its last step led uphill"
     return [
@@ -172,7 +172,7 @@ def posterior_findings(problem: Problem, optimum: Optimum, posterior: Posterior)
     """
     found = []
     if len(optimum.costs) == 1:
-        found.append("One search was made: no other start looked for a better optimum.")
+        found.append("Only one search was made, so a better optimum may have been missed.")
     if optimum.unseen:
         found.append(
             f"The gradient by {listed(list(optimum.unseen))} misses up to "

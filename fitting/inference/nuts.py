@@ -160,7 +160,7 @@ def nuts(
         state = _draw_starts(*density, starting, chains)
         if not np.isfinite(to_host(state.log_density)).all():
             raise InputError(
-                "The density is impossible at the mode itself, so no chain can start; fit first."
+                "The density is 0 or NaN at the mode, so no chain can start; fit first."
             )
     total = WARM_UP + options.draws
     while (done := length(blocks)) < total:

@@ -181,7 +181,7 @@ def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
     seen = judged[0]
     remedy = ", or flats and darks"
     if of[1].data.levels is not None:
-        remedy = "; the flats and darks alone tell gain and read noise by `noise`"
+        remedy = "; `noise` measures gain and read noise from the flats and darks alone"
     size, most = (format_percent(x, decimals=2) for x in (seen.size, seen.most))
     numbers = {"deviations": seen.deviations, "prnu": seen.size, "moved": seen.moved}
     return numbers | {"size": size, "most": most, "remedy": remedy}

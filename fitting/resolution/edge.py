@@ -333,7 +333,7 @@ def _nonlinear(result: Resolution, pixels: EdgePixels, black: float, raw: bool) 
         if not raw:
             yield (
                 "The numbers are taken as linear in the light. The picture has less noise than "
-                "rounding, and no gamma can be told from its edge."
+                "rounding, so its edge cannot reveal a gamma."
             )
         return
     if min(dark.size, bright.size) > 2:
@@ -401,7 +401,7 @@ def _nonlinear(result: Resolution, pixels: EdgePixels, black: float, raw: bool) 
         yield (
             "The numbers are taken as linear in the light. By its shape alone this edge may have "
             f"a gamma of up to {1 / least:.2f}, with which the blur would be "
-            f"{blur.value + moved:.4g} pixels. For raw numbers, `sensor` says that they are linear."
+            f"{blur.value + moved:.4g} pixels. For raw numbers, give `sensor`: they are linear."
         )
 
 

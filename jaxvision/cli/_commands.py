@@ -74,7 +74,7 @@ def inspect(
     white: Annotated[
         float | None,
         typer.Option(
-            "--white", help="Value of saturation (default: top code of the file; 1 if floating)."
+            "--white", help="Value of saturated pixels (default: largest code; 1 for floats)."
         ),
     ] = None,
     part: Annotated[
@@ -148,7 +148,7 @@ def render(
         ),
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(help="Samples a pixel (default: the scene's).")
+        int | None, typer.Option(help="Samples per pixel (default: the scene's).")
     ] = None,
     depth: Annotated[
         int | None, typer.Option(help="Longest path, in segments (default: the scene's).")
@@ -182,8 +182,8 @@ def render(
     tolerance: Annotated[
         str | None,
         typer.Option(
-            help="Leave out effects that change no pixel by more than this share of the level of "
-            "radiance (default: only what is proved to change nothing).",
+            help="Leave out effects that change no pixel by more than this share of the "
+            "brightest pixel (default: only what is proved to change nothing).",
             metavar="SHARE%",
         ),
     ] = None,
@@ -205,9 +205,7 @@ def render(
     ] = None,
     measure: Annotated[
         float | None,
-        typer.Option(
-            help="Time to measure in before --accuracy or --seconds choose, s (default: 240)."
-        ),
+        typer.Option(help="Time of the measurement for --accuracy or --seconds, s (default: 240)."),
     ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard an earlier render.")
@@ -379,7 +377,7 @@ def effects(
     tolerance: Annotated[
         str | None,
         typer.Option(
-            help="List effects that may be left out: 1% of the level, 0.5DN or 0.1sigma.",
+            help="List effects that may be left out: 1% of the brightest pixel, 0.5DN or 0.1sigma.",
             metavar="AMOUNT",
         ),
     ] = None,

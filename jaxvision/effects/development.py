@@ -65,7 +65,7 @@ def demosaicing(development: Development) -> Factor:
         case "malvar":
             return Factor(2.5, "absolute sums of Malvar's filters")
         case "menon":
-            return Factor(INF, "Menon's choice of a direction jumps")
+            return Factor(INF, "Menon's choice of a direction is discontinuous")
         case _:
             return Factor(1.0, "means of neighbours")
 
@@ -150,7 +150,7 @@ def sharpening(development: Development) -> Factor:
 
 def compression(development: Development) -> Factor:
     """Return no factor: the rounding of JPEG's coefficients is discontinuous."""
-    return Factor(INF, "JPEG rounds its coefficients: they jump")
+    return Factor(INF, "JPEG rounds its coefficients, which is discontinuous")
 
 
 BOUNDS: dict[str, Callable[[Development], Factor]] = field_functions(Development, globals())

@@ -565,17 +565,17 @@ OF_VIEW = (
         _perspective,
         "The highlights lie as if the directions to the camera differed by up to {angle:.2g}"
         " degrees from its axis ({sigmas:.0f} standard errors), which explains {share} of the"
-        " squared residuals. The fit takes the camera as far away. If it is near, or the radius or"
-        " the normals are wrong, the numbers of the highlight are off by more than their"
+        " squared residuals. The fit assumes a distant camera. If it is near, or the radius or"
+        " the normals are wrong, the parameters of the highlight are wrong by more than their"
         " intervals; photograph from farther away.",
     ),
     Finding(
         "blur",
         _blur,
         "The images look as after {how} of {size:.2g} pixels (standard deviation; {sigmas:.0f}"
-        " standard errors), which explains {share} of the squared residuals. The fit takes each"
-        " pixel as the mean over its own area. If the cause is {causes}, and not a highlight that"
-        " differs from the model, the fitted highlights are too {wide} by more than their"
+        " standard errors), which explains {share} of the squared residuals. The fit assumes that"
+        " each pixel is the mean over its own area. If the cause is {causes}, and not a highlight"
+        " that differs from the model, the fitted highlights are too {wide} by more than their"
         " intervals; give sharp photographs, or average blocks of pixels wider than the blur.",
     ),
 )

@@ -47,7 +47,7 @@ def recognise_points(
     if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
         sentence = (
             "The highlights show the surface at the middle of each pixel, as in many rendered "
-            f"pictures, not its mean over the pixel's area (of which they hold a share of "
+            "pictures, not its mean over the pixel's area (the share of the mean is "
             f"{share:.2f} ± {error:.2f}): pixels were taken as points."
         )
         return replace(observation, within=None, findings=(*observation.findings, sentence))
@@ -56,8 +56,9 @@ def recognise_points(
         sentence = (
             "The noise hides whether pixels are means over their areas, as in a camera, which is "
             "assumed here, or values at their centres, as in many rendered pictures (the share of "
-            f"means is {share:.2f} ± {error:.2f}). With values at the centres, numbers of the best "
-            f"model, {samples.form.model}, change by over half their standard errors: {listed}."
+            f"means is {share:.2f} ± {error:.2f}). With values at the centres, parameters of the "
+            f"best model, {samples.form.model}, change by over half their standard errors: "
+            f"{listed}."
         )
         return replace(observation, findings=(*observation.findings, sentence))
     return observation
