@@ -188,7 +188,7 @@ mattes, and SciPy for fits.
 
 - **How it was measured.** Calls of jaxvision and of the peer alternate in one process,
   and times are medians. Compilation is not included, except in the rows about new
-  processes, whose Python sources are compiled to bytecode before, as pip does. All
+  processes, for which Python sources are compiled to bytecode in advance, as pip does. All
   programs compute in float32, and the benchmarks also compare the results.
   Both programs keep freed memory for reuse (`jaxvision.keep_memory`).
 - **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
@@ -207,13 +207,14 @@ mattes, and SciPy for fits.
   jaxvision and its other libraries .4 s, reading the scene .25 s, loading the compiled program
   .4 s, and rendering .7 s. Mitsuba's whole process takes 1.4 s. The first process also compiles
   for 3 to 4 s.
-- **First fit.** SciPy searches from one start, jaxvision from 16. It imports JAX and compiles.
+- **First fit.** SciPy searches from one start, jaxvision from 16. jaxvision also imports JAX
+  and compiles.
 - **Meshes.** Embree traces the rays, but its Python binding passes them one by one, which took
   5.7 of 12 ms in a profile.
-- **Histograms.** XLA adds one count after the other: .29 ms for 512 x 512 codes, on one core.
+- **Histograms.** XLA adds the counts one after the other: .29 ms for 512 x 512 codes, on one core.
   `numpy.bincount` takes .30 ms, and OpenCV .10 ms.
 - **Separable filters.** XLA stores the picture between the two passes, and a picture of
-  2048 x 2048 x 3 leaves the cache. OpenCV does both passes row by row.
+  2048 x 2048 x 3 does not fit into the cache. OpenCV does both passes row by row.
 - **Response.** All pixels are used, which gives a tenth of the error of Debevec's 300 pixels.
 
 {machine()}; {installed}. Made by `python tests/benchmarks/speed.py`.

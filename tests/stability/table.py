@@ -70,7 +70,8 @@ page.
 
 JAX publishes the errors of its elementary functions on its page [Numerical
 accuracy](https://docs.jax.dev/en/latest/accuracy.html). Some of them are much less accurate in one
-region, such as `log1p` in float64 near -0.4 (128 ULP). There the library uses another formula.
+region, such as `log1p` in float64 near -0.4 (128 ULP). In this region the library uses another
+formula.
 
 ## Functions with an oracle
 
@@ -97,8 +98,8 @@ lists ten exceptions, each with its reason.
 THIRD = """
 ## Other functions
 
-These functions return no floating-point numbers that they compute, draw random numbers, or iterate
-to a stated tolerance. The table gives the number of functions of each type, and the tests that
+These functions compute no floating-point numbers, draw random numbers, or iterate to a stated
+tolerance. The table gives the number of functions of each type, and the tests that
 check them.
 
 | functions | kind | tests |
