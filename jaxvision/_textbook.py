@@ -196,7 +196,7 @@ def is_absent(word: str) -> bool:
 
 
 def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
-    """Return those names in `known` that a textbook's word stands for; often there are none."""
+    """Return the names in `known` for a textbook's word; often there are none."""
     names = set(known)
     return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
 

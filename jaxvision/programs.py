@@ -169,7 +169,7 @@ def _processor() -> str:
 
 @cache
 def source_digest() -> str:
-    """Return a digest of the files of this distribution, which differs between builds of the same
+    """Return a digest of the files of this distribution. The digest differs between builds of one
     version."""
     here, found = Path(__file__).parent, hashlib.sha256()
     for package in _OWN:

@@ -44,7 +44,7 @@ _OF_PATHS = 0x70617468
 
 
 class Capture(Shown):
-    """Every stage of one picture, from radiance to the developed picture.
+    """All stages of one picture, from radiance to the developed picture.
 
     Attributes:
         radiance: (h, w, bands) W m^-2 sr^-1 seen by each pixel.

@@ -31,7 +31,7 @@ class Lobe(NamedTuple):
     convention. Each takes the material, which contains the parameters of the shape."""
 
     value: Callable[[Any, Vec, Vec], Scalar]  # `value(material, wi, wo)`, () in [0, 1], no unit
-    # `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1)
+    # `direction(material, wo, u)`, a unit direction from `u`, (3,) uniform in [0, 1)
     direction: Callable[[Any, Vec, Float[Array, "3"]], Vec]
     # `density(material, wi, wo)`, () in sr^-1, the density of `direction`
     density: Callable[[Any, Vec, Vec], Scalar]

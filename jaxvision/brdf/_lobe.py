@@ -123,8 +123,8 @@ def circles(
     |phi| < phi_m lies above the horizon, with cos(phi_m) = -cot(alpha) cot(theta). The result is
     (alpha, weight) of the complete circles, (alpha, weight) of the cut circles, and (p, q) of the
     cut circles, with p = cos(alpha) cos(theta), q = sqrt(sin^2(alpha) sin^2(theta) - p^2) and phi_m
-    = atan2(q, -p). Neither range of alpha is longer than `width`, and the second ends at `end` at
-    the latest. Nodes of the cut circles are transformed by sin^2, because phi_m behaves like a
+    = atan2(q, -p). Both ranges of alpha are at most `width` long, and the second does not extend
+    beyond `end`. Nodes of the cut circles are transformed by sin^2, because phi_m behaves like a
     square root at both ends."""
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt

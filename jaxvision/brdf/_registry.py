@@ -1,5 +1,5 @@
-"""The registry of BRDF families: the functions of each material class, with defaults for those that
-are not given.
+"""The registry of BRDF families: the functions of each material class, with defaults for missing
+functions.
 
 All functions of a family use the local frame: normal = +z, `wi` toward the light, `wo` toward the
 viewer.
@@ -32,7 +32,7 @@ Bound = Callable[[Ends], Reflection]
 
 
 class Family(NamedTuple):
-    """The functions of one family of materials. `brdf/__init__` describes what each returns.
+    """The functions of one family of materials. `brdf/__init__` describes their results.
 
     `specular(material, w)` returns how a ray that came from `w` continues; it is None unless the
     BRDF is a sum of delta functions. `absorption(material)` returns the absorption of the body

@@ -216,12 +216,12 @@ def _returned_share(material: Coated, w: Vec) -> Colour:
     reflects and the interface returns to the body, (bands,), no unit.
 
     For an EON body, the mean over the azimuth has a closed form, with a kink at the cosine of `w`.
-    `_further` calls this function at its own nodes, so the sum here uses other nodes than
-    `_further`. For other bodies, two methods are combined: a product quadrature on both sides of
-    the critical angle, which integrates broad lobes, and draws from the body's own sampler, which
-    integrate narrow lobes. In each direction the weights of both methods sum to 1 (Veach's power
-    heuristic). The draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness of
-    Quasirandom Sequences", 2018).
+    This function is evaluated at the nodes of `_further`. The sum uses other nodes, so that no node
+    lies on a kink. For other bodies, two methods are combined: a product quadrature on both sides
+    of the critical angle, which integrates broad lobes, and draws from the body's own sampler,
+    which integrate narrow lobes. In each direction the weights of both methods sum to 1 (Veach's
+    power heuristic). The draws are a Kronecker sequence (Roberts, "The Unreasonable Effectiveness
+    of Quasirandom Sequences", 2018).
     """
     body = material.body
     if isinstance(body, EON):
@@ -387,8 +387,8 @@ def _from_file(
     optical_depth: Colour | None = None,
     distribution: Distribution = "ggx",
 ) -> Coated:
-    """A body under a clear coat: `Lambert`, `EON` if `body_roughness` is given, or any other by
-    `body`.
+    """A body under a clear coat: `Lambert`, `EON` if `body_roughness` is given, or the material of
+    the table `body`.
 
     Args:
         diffuse: (bands,) k_d of the body in sr^-1.

@@ -248,9 +248,9 @@ MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the an
 
 
 def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
-    """Return a function and a flag. The function gives the largest reflectance of any band at a
-    cosine of incidence or any larger cosine. The flag is true if all bands have the same
-    reflectance."""
+    """Return a function and a flag. The function of a cosine returns an upper bound on the
+    reflectance of all bands, at this cosine of incidence and at all larger ones. The flag is true
+    if all bands have the same reflectance."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():

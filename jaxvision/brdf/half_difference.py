@@ -3,8 +3,9 @@
 The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). A rotation by -phi_h about z
 and then by -theta_h about y takes h to the normal. The same rotation takes `wi` to the difference
 vector, with angles (theta_d, phi_d). The angle theta_d is half the angle between `wi` and `wo`.
-Exchanging `wi` and `wo` adds pi to phi_d. Mirroring both in the plane of h and the normal negates
-phi_d. Source: Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation", 1998.
+Exchanging `wi` and `wo` adds pi to phi_d. Reflecting both directions in the plane through h and the
+normal changes the sign of phi_d. Source: Rusinkiewicz, "A New Change of Variables for Efficient
+BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
 [0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that bins are narrow near the normal,

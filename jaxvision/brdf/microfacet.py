@@ -142,9 +142,9 @@ def visibility(
 
 
 def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
-    """Draw the unit normal of a GGX facet that is visible from `wo`, by two uniform numbers in [0,
-    1) (Heitz, JCGT 7(4) (2018)). Beckmann facets are sampled in the same way, because D_beckmann /
-    D_ggx <= 4 / e for the same alpha."""
+    """Draw the unit normal of a GGX facet that is visible from `wo`, from two uniform numbers in
+    [0, 1) (Heitz, JCGT 7(4) (2018)). Beckmann facets are sampled in the same way, because
+    D_beckmann / D_ggx <= 4 / e for the same alpha."""
     v, a = as_vec(wo), clamped_roughness(alpha)
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)

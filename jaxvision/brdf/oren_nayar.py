@@ -1,5 +1,5 @@
-"""Oren-Nayar: a rough surface of Lambertian facets, with a flatter shading than Lambert's and
-retroreflection.
+"""Oren-Nayar: a rough surface of Lambertian facets, whose shading is flatter than Lambert's and
+shows retroreflection.
 
     qualitative   f_r = k_d (A + B max(0, cos(phi_i - phi_o)) sin(alpha) tan(beta))
     full          with interreflections between facets (the paper's equations 27 to 30)

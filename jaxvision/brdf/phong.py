@@ -165,8 +165,8 @@ def phong_shading(
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
-    """Draw a unit direction with density `power_pdf` about an axis, by `u`, (2,) uniform in [0, 1).
-    The angle alpha to the axis has cos(alpha) = (1 - u_0)^(1 / (n + 1)), where n is the
+    """Draw a unit direction with density `power_pdf` about an axis, from `u`, (2,) uniform in [0,
+    1). The angle alpha to the axis has cos(alpha) = (1 - u_0)^(1 / (n + 1)), where n is the
     exponent."""
     return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 

@@ -420,7 +420,7 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
 def _largest_returned(x: Ends[TorranceSparrow]) -> float:
     """Return an upper bound on the multiple-scattering term F_m L_i L_o / (pi L) for roughnesses
     between the two ends, in sr^-1. The term is evaluated at several roughnesses and enlarged by 5 %
-    to cover those in between."""
+    to cover roughnesses in between."""
     if x.low.multiple_scattering is None:
         return 0.0
     ends = [float(np.clip(numbers(end.roughness), SMOOTHEST, 1)) for end in x]
@@ -444,7 +444,7 @@ def _from_file(
     interface: None = None,
     **fields: Any,
 ) -> TorranceSparrow:
-    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
+    """A surface of microfacets, which reflect all light unless `eta` or `f0` is given.
 
     Args:
         eta: (bands,) index of refraction of the facets, no unit; for a metal the real part.

@@ -1,7 +1,7 @@
 """Keep freed memory in the process, so that large arrays are allocated faster.
 
 glibc returns each freed block above a threshold to the kernel. The next large array is then mapped
-anew, page by page. For images of tens of megabytes, this mapping takes longer than the arithmetic.
+again, page by page. For images of tens of megabytes, this mapping takes longer than the arithmetic.
 """
 
 import ctypes

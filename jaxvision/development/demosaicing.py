@@ -4,8 +4,9 @@ pixel.
 Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern. Integers
 become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit.
 Measured values are unchanged in the picture, except that Menon's method refines green. NaN spreads
-to all pixels whose window contains it. Patterns are those of `colour_filters`. Three of the four
-methods are for Bayer tiles: two greens on a diagonal and two other bands, in any order and phase.
+to all pixels whose window contains it. Patterns are defined as in `colour_filters`. Three of the
+four methods are for Bayer tiles: two greens on a diagonal and two other bands, in any order and
+phase.
 
 `border` defines the values outside. "in_phase" reflects the mosaic without repeating the edge, c b
 | a b c d | c b, which continues the colours of a Bayer tile. Any key of `padding.BORDERS` is

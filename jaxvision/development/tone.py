@@ -15,8 +15,8 @@ from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, Tone
 
 @takes_numbers
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
-    """Evaluate the smooth curve through given points, which is monotone where the points are and
-    constant beyond the first and last.
+    """Evaluate the smooth curve through given points, which is monotone where the points are
+    monotone, and constant beyond the first and last point.
 
     The curve is the cubic Hermite spline that scipy calls PCHIP. NaN stays NaN.
 

@@ -93,7 +93,7 @@ def _broadcast(direction: np.ndarray) -> np.ndarray:
 
 def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
     """Call `query(scene, *rays)` for rays with any leading axes, against one mesh, or for each ray
-    against its own mesh if `vmap` is over the mesh too."""
+    against its own mesh if `vmap` also maps over meshes."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     meshes = np.broadcast_shapes(vertices.shape[:-2], faces.shape[:-2])
     ends = (3,), (3,), ()

@@ -119,8 +119,8 @@ def _face_areas(box: Box) -> Float[Array, "3"]:
 
 
 def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
-    """Select a face with probability proportional to its area, by u_0. The rescaled u_0 is uniform
-    again.
+    """Select a face with the number u_0, with a probability proportional to the face's area. The
+    rescaled u_0 is uniform again.
     """
     face, rest = _pick(jnp.repeat(_face_areas(box), 2), u[0])
     axis, side = face // 2, face % 2
@@ -161,8 +161,8 @@ def _triangle_areas(mesh: TriangleMesh) -> Float[Array, " faces"]:
 
 
 def _point_on_mesh(mesh: TriangleMesh, u: Float[Array, "2"]) -> SurfacePoint:
-    """Select a triangle with probability proportional to its area, by u_0. The rescaled u_0 is
-    uniform again.
+    """Select a triangle with the number u_0, with a probability proportional to the triangle's
+    area. The rescaled u_0 is uniform again.
     """
     index, rest = _pick(_triangle_areas(mesh), u[0])
     a, b, c = (Vec(corner.x[index], corner.y[index], corner.z[index]) for corner in _vertices(mesh))

@@ -46,8 +46,8 @@ def _hit(
     compute: Callable[..., Any],
 ) -> Hit:
     """Return the hit of a plane through `point`, projected onto the plane, if the plane lies ahead.
-    `compute` as for `box_hit`: if the distance were computed twice with different rounding, the hit
-    would miss the plane.
+    For `compute`, see `box_hit`: if the distance were computed twice with different rounding, the
+    hit would miss the plane.
     """
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
@@ -76,7 +76,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a plane, m. `compute` as for `box_hit`."""
+    """Return the hit of a plane, m. For `compute`, see `box_hit`."""
     normal = as_vec(normalize(plane.normal))
     return _hit(ray, plane.point, normal, jnp.asarray(True), size_of(plane), compute)
 
@@ -100,7 +100,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a disc, m. `compute` as for `box_hit`."""
+    """Return the hit of a disc, m. For `compute`, see `box_hit`."""
     normal = as_vec(normalize(disc.normal))
     aside = ray.origin + _distance(ray, disc.centre, normal) * ray.direction - disc.centre
     inside = dot(aside, aside) <= disc.radius * disc.radius
@@ -184,7 +184,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a parallelogram, m, given whether the ray hits it. `compute` as for
+    """Return the hit of a parallelogram, m, given whether the ray hits it. For `compute`, see
     `box_hit`.
     """
     return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

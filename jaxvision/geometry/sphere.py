@@ -22,7 +22,7 @@ from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
-    """Return the distance to the nearest hit, m, inf for a miss, by the textbook formula. Its error
+    """Return the distance to the nearest hit, m, inf for a miss, by the textbook formula. The error
     is a few eps of the distance to the centre, which is small enough to find the first of several
     surfaces.
     """
@@ -96,7 +96,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
     """Return the distance to the first crossing ahead, m, inf for a miss. The result must be
     materialised, so that every use has the same rounding: for a ray that starts on the sphere,
-    rounding decides between both crossings.
+    rounding decides which of the two crossings is returned.
     """
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)

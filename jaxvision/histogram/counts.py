@@ -208,11 +208,11 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     """Return the inner edge t that maximises the variance between the two classes, values < t and
     values >= t.
 
-    If several edges give the same variance, the first of them is returned; if all values are in one
-    bin, the first inner edge is. For integer images, OpenCV and scikit-image return t - 1, the last
-    code of the lower class. Near its maximum the variance is constant within float32 rounding. In
-    float32 the threshold for 65536 bins may therefore be wrong by a few bins (30002 instead of
-    30000).
+    If several edges give the same variance, the first of these edges is returned. If all values are
+    in one bin, the first inner edge is returned. For integer images, OpenCV and scikit-image return
+    t - 1, the last code of the lower class. Near its maximum the variance is constant within
+    float32 rounding. In float32 the threshold for 65536 bins may therefore be wrong by a few bins
+    (30002 instead of 30000).
 
     Args:
         histogram: exact or soft, of at least 2 bins.

@@ -1,7 +1,7 @@
 """Light sources: each file contains the record of one kind of light, and computes its light at a
 point.
 
-At a point, a light without size gives one `Incident`. An extended light maps the unit square to
+A light without size gives one `Incident` at a point. An extended light maps the unit square to
 directions, and a sampling rule (`Quadrature`, `MonteCarlo`, `Balanced`) chooses points of the
 square. The light at the point is the sum over these samples. All functions are for one point; use
 `jax.vmap` for many. A new kind of light needs one file, which ends with a call of `register` or

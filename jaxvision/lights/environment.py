@@ -76,7 +76,7 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """Draw a unit direction in proportion to the radiance of the map, by `u`, (2,) uniform in [0,
+    """Draw a unit direction in proportion to the radiance of the map, from `u`, (2,) uniform in [0,
     1), for row and column. Return the direction, the radiance divided by the density of the
     direction, (bands,) W m^-2, and the density, sr^-1."""
     row, row_place = _invert(environment.rows, u[0])
@@ -114,7 +114,7 @@ def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array,
 
 
 def _radiance_along(environment: EnvironmentMap, ray: Ray) -> Seen:
-    """Return the radiance of the environment along a ray, W m^-2 sr^-1, with an infinite
+    """Return the radiance of the environment along a ray, W m^-2 sr^-1, and an infinite
     distance."""
     radiance = environment_radiance(environment, ray.direction)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
@@ -129,8 +129,8 @@ def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _direction(cosine: Scalar, turn: Scalar) -> Vec:
-    """Return the direction, in the map's axes, with this cosine to the pole and an azimuth of
-    `turn` map widths from the left edge."""
+    """Return the direction, in the map's axes, at `turn` map widths from the left edge; `cosine` is
+    that of the angle to the pole."""
     sine, phi = safe_sqrt((1 - cosine) * (1 + cosine)), jnp.pi * (1 - 2 * turn)
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), cosine)
 

@@ -211,8 +211,8 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
 
 
 def _emit(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray through a random point of the aperture and a random point of the focal window, by
-    `u`, (4,) uniform in [0, 1), with its flux, (bands,) W."""
+    """Draw a ray through a random point of the aperture and a random point of the focal window,
+    from `u`, (4,) uniform in [0, 1). Return the ray and its flux, (bands,) W."""
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
     span = cross(light.aperture.edge_u, light.aperture.edge_v)
     normal, whole = as_vec(normalize(span)), norm(span)

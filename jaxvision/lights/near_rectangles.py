@@ -121,7 +121,7 @@ def _compare_irradiances(
 def warn_of_near_receiver(
     lights: Sequence[Light], rules: Sequence[Rule], point: Vector, normal: Vector, cure: str
 ) -> None:
-    """Warn of the first rectangle whose quadrature finds far too little or too much light at a
+    """Warn of the first rectangle for which a quadrature is far too dark or too bright at a
     receiver, m. Lights and receivers that JAX traces are not checked. `cure` is a sentence that
     says what to do."""
     point, normal = (as_array(as_vec(x)) for x in (point, normal))
@@ -139,7 +139,7 @@ def warn_of_near_receiver(
 def warn_of_near_surfaces(
     lights: Sequence[Light], rules: Sequence[Rule], surfaces: Sequence[Surface], cure: str
 ) -> None:
-    """Warn of the first rectangle whose quadrature finds far too little or too much light on a
+    """Warn of the first rectangle for which a quadrature is far too dark or too bright on a
     surface. Lights and surfaces that JAX traces are not checked. `cure` is a sentence that says
     what to do."""
     known = [s for s in surfaces if all(map(is_known, jax.tree.leaves(s.shape)))]
@@ -154,8 +154,8 @@ def warn_of_near_surfaces(
 def found_on_surfaces(
     light: RectangleLight, rule: Quadrature, surfaces: Sequence[Surface]
 ) -> Near | None:
-    """Return the result of `found_near` for the first surface on which the error is large, without
-    occlusion; None if there is no such surface."""
+    """Return the result of `found_near` for the first surface on which the error is large; None if
+    there is no such surface. Occlusion is ignored."""
     for surface in surfaces:
         for points, normals in _receivers(surface.shape, light):
             normals = _orient_normals(normals, light, surface)

@@ -61,7 +61,7 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
 
 
 def _emit(light: PointLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray in a direction that is uniform over the sphere, by u_2 and u_3 of `u`, (4,)
+    """Draw a ray in a direction that is uniform over the sphere, from u_2 and u_3 of `u`, (4,)
     uniform in [0, 1). The flux of the ray is 4 pi I, (bands,) W, where I is the intensity."""
     direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
     return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
@@ -69,7 +69,7 @@ def _emit(light: PointLight, u: Float[Array, "4"]) -> Emitted:
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
     """Return upper bounds on the light of a point lamp. The lamp emits in all directions or, if
-    `normal` is given, to that side only."""
+    `normal` is given, to the side of `normal` only."""
     points = box_corners(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

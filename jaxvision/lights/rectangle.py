@@ -107,7 +107,7 @@ def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar
 
 def _emit(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
     """Draw a ray from the rectangle's front, uniform by area and cosine-distributed about the
-    normal, by `u`, (4,) uniform in [0, 1). The flux of the ray is pi A L, (bands,) W, where A is
+    normal, from `u`, (4,) uniform in [0, 1). The flux of the ray is pi A L, (bands,) W, where A is
     the area and L the radiance."""
     quad = Quad(light.corner, light.edge_u, light.edge_v)
     return emitted_from_surface(quad, light.radiance, u)
@@ -124,8 +124,8 @@ def _small_light(light: RectangleLight) -> SmallLight:
 
 
 def _bound(light: Ends[RectangleLight]) -> Source:
-    """Return upper bounds on the light of a rectangle, as for a window. For a fixed rectangle, also
-    return the small light at its middle that may replace it."""
+    """Return upper bounds on the light of a rectangle (`_window_bound`). For a fixed rectangle,
+    also return the small light at its middle that may replace it."""
     source = _window_bound(light, light)._replace(even=True)
     u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
     if light.low is not light.high or not np.any(np.cross(u, v)):

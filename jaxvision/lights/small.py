@@ -61,7 +61,7 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
 
 
 def _emit(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray that is cosine-distributed about the light's normal, by u_2 and u_3. The flux of
+    """Draw a ray that is cosine-distributed about the light's normal, from u_2 and u_3. The flux of
     the ray is pi I, W, where I is the intensity."""
     local = cosine_direction(u[2:])
     direction = as_vec(to_world(local_frame(normalize(light.normal)), local))

@@ -108,7 +108,8 @@ def from_spot_light(light: SpotLight, point: Vector) -> Incident:
 
 
 def _emit(light: SpotLight, u: Float[Array, "4"]) -> Emitted:
-    """Draw a ray that is uniform in the outer cone, by u_2 and u_3. The flux of the ray is 2 pi (1
+    """Draw a ray that is uniform in the outer cone, from u_2 and u_3. The flux of the ray is 2 pi
+    (1
     - cos(outer)) times the intensity in its direction, W."""
     wide = 1 - jnp.cos(light.outer)
     local = direction_at(wide * u[2], 2 * jnp.pi * u[3])

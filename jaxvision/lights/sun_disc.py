@@ -74,7 +74,7 @@ def _inside(light: SunDisc, direction: Direction) -> Array:
 
 
 def _radiance_along(light: SunDisc, ray: Ray) -> Seen:
-    """Return the radiance of the disc along a ray, (bands,) W m^-2 sr^-1, with an infinite
+    """Return the radiance of the disc along a ray, (bands,) W m^-2 sr^-1, and an infinite
     distance."""
     radiance = jnp.where(_inside(light, ray.direction), _radiance(light), 0)
     return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)

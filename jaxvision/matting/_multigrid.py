@@ -2,8 +2,8 @@
 preconditioner, conjugate gradients take tens of steps; with a diagonal preconditioner they take
 hundreds.
 
-A coarse grid keeps every second pixel, interpolation P from coarse to fine is bilinear, and
-restriction is its transpose. The coarse stencil is Galerkin's P^T A P, which again has 5 x 5
+A coarse grid contains every second pixel. The interpolation P from coarse to fine is bilinear, and
+the restriction is P^T. The coarse stencil is Galerkin's P^T A P, which again has 5 x 5
 coefficients. Source: Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapter 10. All
 quantities in this file are dimensionless.
 """

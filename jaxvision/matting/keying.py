@@ -235,7 +235,7 @@ def triangulation_matte(
 def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     """Return the light of the object alone, image - (1 - alpha) background, as a layer.
 
-    Composited over the same background, the layer gives the original picture.
+    Composited over `background`, the layer gives the original picture.
 
     Args:
         image: (..., bands) linear relative light.

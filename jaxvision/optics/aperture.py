@@ -1,5 +1,4 @@
-"""The aperture of a lens: its points, its area, and the blurred image it gives of a point out of
-focus.
+"""The aperture of a lens: its points, its area, and the image of a point out of focus.
 
 Points are (right, down) in the camera's axes, relative to the radius of the lens. All functions are
 closed forms and differentiable with respect to the shape.

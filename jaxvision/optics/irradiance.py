@@ -4,8 +4,9 @@
 
 E is the irradiance, L the radiance, A the area of the aperture, d its diameter, z_i the distance to
 the sensor (the focal length only at infinity focus) and cos the cosine between the chief ray and
-the axis. The factor cos^4 is due to the distance z_i / cos of the small aperture, and to its and
-the sensor's inclination to the ray. Only this module applies the factor; rays have no such weight.
+the axis. The factor cos^4 is due to the distance z_i / cos of the small aperture, and to the
+inclination of both aperture and sensor to the ray. Only this module applies the factor; rays have
+no such weight.
 
 Source:
     Szeliski, Computer Vision, section 2.2.3.

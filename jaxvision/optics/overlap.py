@@ -1,8 +1,8 @@
 """Overlap of two apertures in projection: areas in closed form.
 
 Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of an area is
-the length of an arc or a chord, which also has a closed form. That length is finite even where
-differentiating the formula of the area gives infinity.
+the length of an arc or a chord, which also has a closed form. This length is finite even where the
+derivative of the formula for the area is infinite.
 """
 
 import jax

@@ -183,8 +183,8 @@ def wavefront_otf(
     times the normalised image of a point, with x right and down.
 
     The transfer at a frequency f is the overlap of the pupil function with a copy of itself,
-    shifted by 2 lambda N f pupil radii (Goodman, Introduction to Fourier Optics, section 6.4). Even
-    aberrations with all signs reversed have the same transfer.
+    shifted by 2 lambda N f pupil radii (Goodman, Introduction to Fourier Optics, section 6.4).
+    Reversing the signs of all even aberrations does not change the transfer.
 
     Args:
         frequency: (..., 2) m^-1, right and down on the sensor.

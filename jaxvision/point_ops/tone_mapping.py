@@ -216,8 +216,8 @@ _SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]
 def set_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:
-    """Scale each pixel from its luminance to a wanted luminance, which applies a curve and keeps
-    the chromaticity.
+    """Scale each pixel from its luminance to a wanted luminance, so that a curve changes the
+    luminance but not the chromaticity.
 
     Args:
         image: (..., channels) relative.

@@ -66,5 +66,5 @@ def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | Non
 
 
 def where_clear(condition: Bool[Array, ""] | None, value: Array) -> Array:
-    """Return `value` where the condition is true, else 0. The condition None stands for true."""
+    """Return `value` where the condition is true, else 0. A condition of None counts as true."""
     return value if condition is None else jnp.where(condition, value, 0)

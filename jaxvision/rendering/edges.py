@@ -273,7 +273,7 @@ def _curve_point(curve: Curves, t: Scalar, eye: Eye) -> Float[Array, "3"]:
 def _point_outside(
     curve: Curves, t: Scalar, eye: Eye, side: float = 1.0, lifted: Any = 1.0
 ) -> tuple[Array, Array]:
-    """Return a point slightly outside an outline, and the same point moved slightly toward the eye,
+    """Return a point slightly outside an outline, and this point moved slightly toward the eye,
     m."""
     away = _curve_point(curve, t, eye) - curve.centre
     point = curve.centre + (1 + side * _BESIDE) * away
@@ -602,8 +602,8 @@ def _extent(shape: Shape) -> tuple[Array, Array] | None:
 
 def grazing_cosines(scene: Scene, view: View) -> Float[Array, " n"]:
     """Return for each surface the cosine of the angle of view below which `damped` acts, no unit.
-    Where the cosine is smaller, the image of a face is at most `_NARROW` pixels wide, or that of a
-    rim of a sphere half as wide. The result is 0 for planes and meshes."""
+    Where the cosine is smaller, the image of a face is at most `_NARROW` pixels wide, and the image
+    of a sphere's rim at most half as wide. The result is 0 for planes and meshes."""
     scene, view = jax.lax.stop_gradient((scene, view))
 
     def limit(shape: Shape) -> Array:
@@ -627,9 +627,9 @@ def _undamped_part(limits: Array, ray: Ray, number: Array, hit: Hit) -> Array:
 
 @jax.custom_jvp
 def damped(hit: Hit, ray: Ray, encounter: Encounter, limits: Array) -> Hit:
-    """Return a hit whose point and normal have smaller derivatives where the ray grazes a narrow
-    face. These derivatives are proportional to 1 / cos, and the few rays that hit such a face do
-    not integrate them. `moving_edges` adds the rest, integrated over points of the face."""
+    """Return the hit, with smaller derivatives of its point and normal if the ray grazes a narrow
+    face. The derivatives are proportional to 1 / cos there, and too few rays hit the face to
+    integrate them. `moving_edges` adds the rest, integrated over points of the face."""
     del ray, encounter, limits
     return hit
 

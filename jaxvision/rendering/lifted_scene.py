@@ -26,9 +26,9 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
     """Convert an RGB scene to the bands of a spectral camera, by the method of Mallett and Yuksel.
 
     A reflectance becomes the spectrum of `spectra.rgb_to_reflectance`, which has the given linear
-    sRGB colour under D65. The spectrum of a light becomes the spectrum of `lamp` times that of the
-    light's colour. The new spectrum is scaled so that the power of white light, the sum over its
-    bands, is unchanged. Values with one band, which apply to all bands, are not changed. Other
+    sRGB colour under D65. The spectrum of a light becomes the spectrum of `lamp` times the spectrum
+    of the light's colour. The new spectrum is scaled so that the power of white light, the sum over
+    its bands, is unchanged. Values with one band, which apply to all bands, are not changed. Other
     quantities that are equal in all three bands, such as an index of refraction, become values with
     one band.
 

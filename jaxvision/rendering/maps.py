@@ -3,12 +3,12 @@ pixel.
 
 Between the centres of texels a map is bilinear. The rays of a pixel project onto a parallelogram of
 the surface. The parallelogram is approximated by a box in texture coordinates, with sides along u
-and v and the same variances along u and v. The approximation is exact if the sides of the
-parallelogram are along u and v. The integral over the box is exact. Along each axis, the box covers
-parts of two texels at each end, and whole texels between. The sums of whole texels are differences
-of a summed-area table (Crow, SIGGRAPH 1984). Each entry of the table is stored as two numbers, so
-that differences of large sums lose no digits. All functions are for one point; use `jax.vmap` for
-many. Lengths are in metres.
+and v, whose variances along u and v are those of the parallelogram. The approximation is exact if
+the sides of the parallelogram are along u and v. The integral over the box is exact. Along each
+axis, the box covers parts of two texels at each end, and whole texels between. The sums of whole
+texels are differences of a summed-area table (Crow, SIGGRAPH 1984). Each entry of the table is
+stored as two numbers, so that differences of large sums lose no digits. All functions are for one
+point; use `jax.vmap` for many. Lengths are in metres.
 """
 
 from typing import Any

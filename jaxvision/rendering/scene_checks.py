@@ -89,7 +89,7 @@ def scene_problems(
 
 
 def coincident_surfaces(scene: Scene, surfaces: Sequence[str]) -> list[str]:
-    """Return one finding for each surface whose shape is exactly that of a surface before it."""
+    """Return one finding for each surface whose shape equals that of an earlier surface."""
     found, known = [], {}
     for name, surface in zip(surfaces, scene.surfaces, strict=True):
         numbers = (np.asarray(x).tobytes() for x in jax.tree.leaves(surface.shape))

@@ -23,7 +23,7 @@ _WIDEST_STOP = 1 - 1e-6
 
 
 class CircularAperture(Shown):
-    """A round aperture that fills the lens's diameter.
+    """A round aperture with the diameter of the lens.
 
     Example:
         >>> round(float(jv.optics.aperture_area(jv.CircularAperture(), jnp.array(2.0))), 4)
@@ -32,7 +32,7 @@ class CircularAperture(Shown):
 
 
 class PolygonalAperture(Shown):
-    """The aperture of an iris: a regular polygon with corners on the lens's diameter.
+    """The aperture of an iris: a regular polygon whose corners lie on the rim of the lens.
 
     Attributes:
         blades: number of sides, >= 3; static.
@@ -53,7 +53,7 @@ class PolygonalAperture(Shown):
 
 
 class RectangularAperture(Shown):
-    """A slit or square along the camera's right and down axes.
+    """A rectangular aperture with sides along the camera's right and down axes.
 
     Attributes:
         width: () > 0, relative to the lens's diameter.
@@ -73,7 +73,7 @@ class RectangularAperture(Shown):
 
 
 class AnnularAperture(Shown):
-    """A round aperture with a central round stop, as in a mirror lens.
+    """A round aperture with a round stop in the middle, as in a mirror lens.
 
     Attributes:
         obstruction: () in [0, 1), diameter of the stop relative to that of the aperture.
@@ -149,9 +149,9 @@ class Diffraction(Shown):
 
 
 class Wavefront(Shown):
-    """Aberrations of a lens, with the diffraction at its aperture of any shape, equal over the
-    whole picture. If all coefficients are 0 and the aperture is round, the result equals
-    `Diffraction`. Large coefficients give the spot of geometrical optics.
+    """Aberrations of a lens, and diffraction at its aperture, which may have any shape. Both are
+    constant over the picture. If all coefficients are 0 and the aperture is round, the result
+    equals `Diffraction`. Large coefficients give the spot of geometrical optics.
 
     Attributes:
         coefficients: (terms,) m, of Noll's Zernike terms 1, 2, ...; `optics.zernike` names them.

@@ -126,9 +126,9 @@ def emitters_of(scene: Scene) -> Emitters:
 
 
 def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
-    """Draw one emitter by u_2, and a direction toward it from `point`, m, by u_0 and u_1, all
-    uniform in [0, 1). The irradiance of the result, W m^-2, is an unbiased estimate of the sum over
-    all emitters."""
+    """Draw one emitter with the number u_2, and a direction from `point`, m, toward the emitter
+    with u_0 and u_1, all uniform in [0, 1). The irradiance of the result, W m^-2, is an unbiased
+    estimate of the sum over all emitters."""
 
     def toward(emitter: Light | Emissive) -> Toward:
         if isinstance(emitter, Emissive):
@@ -141,7 +141,8 @@ def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Towa
 
 
 def apply_to_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> Tree:
-    """Draw one emitter by `u`, uniform in [0, 1), and return `function` of this emitter."""
+    """Draw one emitter with the number `u`, uniform in [0, 1), and return `function` of this
+    emitter."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
     found = call_member(emitters.members, emitters.groups, index, function)

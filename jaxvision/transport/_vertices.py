@@ -171,8 +171,8 @@ def vertex(
     bands: int,
     weighed: bool = True,
 ) -> Vertex:
-    """Return the shading of the surface for the direction `asked`, and a continuation of the path
-    drawn by `u`, uniform in [0, 1). `back` and `asked` are unit vectors in the world. All results
+    """Return the shading of the surface for the direction `asked`, and a continuation of the path,
+    drawn with `u`, uniform in [0, 1). `back` and `asked` are unit vectors in the world. All results
     are 0 if the surface is seen from behind.
 
     Gradients treat the drawn direction and its density as constants. Such gradients are unbiased

@@ -211,8 +211,8 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
     The solid angle of a pixel with side p, on a plane at the distance z behind the pinhole, is dw =
     p^2 cos^3(theta) / z^2. A vertex at the distance d with a flux of 1 W causes the irradiance f_r
     cos(theta_r) / d^2 at the pinhole. The radiance of the pixel is this irradiance divided by dw.
-    The function is the inverse of `optics.view_ray`; for a lens both must be given the same uniform
-    numbers.
+    The function is the inverse of `optics.view_ray`, if a lens gets equal uniform numbers in both
+    functions.
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     rows, columns = view.resolution

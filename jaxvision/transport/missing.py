@@ -233,8 +233,8 @@ def _emits(surface: Surface) -> bool:
 def _check_environment(
     name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
 ) -> list[str]:
-    """Return a message if a quadrature finds far too little or too much light of an environment,
-    else an empty list."""
+    """Return a message if a quadrature of an environment is far too dark or too bright, else an
+    empty list."""
     if (wrong := found_by_quadrature(light, rule)) is None:
         return []
     cures = "" if integrator == "rays" else "rule = 'balanced' or 'monte_carlo', or "
@@ -251,8 +251,8 @@ def _too_near(
     surfaces: Sequence[Surface],
     integrator: Integrator,
 ) -> list[str]:
-    """Return a sentence if a quadrature finds far too little or too much light of a rectangle on a
-    surface near it."""
+    """Return a message if a quadrature of a rectangle is far too dark or too bright on a surface
+    near the rectangle."""
     if (wrong := found_on_surfaces(light, rule, surfaces)) is None:
         return []
     cure = "rule = 'balanced', or " if integrator == "direct" else ""

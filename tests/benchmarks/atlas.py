@@ -229,7 +229,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         f"  The machine was shared (a load of up to {load.split()[-1]}), so absolute times are",
         "  long and vary between approximations. Settings of one approximation were timed in",
         "  alternation, so that their times can be compared.",
-        "- **Time** is without compilation. For scenes it is the time of the whole picture.",
+        "- **Time** is without compilation. For scenes, the time of the whole picture is given.",
         "- **Error** is the relative RMS error. For fits the error is in units of the standard",
         "  error.",
         '- **Order** is the measured law of the error: an exponent of the setting, as in "-0.5 ±',

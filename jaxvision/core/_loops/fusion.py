@@ -107,7 +107,7 @@ def fuse(values: Any) -> Any:
 
 
 def _one_loop(*values: Array) -> Sequence[Array]:
-    """Join values of one precision into one loop; reductions mix no precisions."""
+    """Compute values of one precision in one loop; a reduction cannot mix precisions."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
     first = next(iter(precisions), None)

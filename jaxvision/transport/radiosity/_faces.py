@@ -87,8 +87,9 @@ def face_place(
     shape: Shape, point: Vec, primitive: Int[Array, ""] | None
 ) -> tuple[Int[Array, ""], Scalar, Scalar]:
     """Return (part, u, v) for a point of a shape, m, the inverse of `face_point`. For a mesh,
-    `primitive` is the index of the triangle that holds the point; None stands for the first. A
-    point that is not exactly on the surface because of rounding is projected onto it."""
+    `primitive` is the index of the triangle that contains the point; None stands for the first
+    triangle. A point that is not exactly on the surface because of rounding is projected onto
+    it."""
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():
