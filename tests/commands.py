@@ -1,4 +1,4 @@
-"""The commands, called in this process as a shell would call them."""
+"""Call the commands in this process as a shell would."""
 
 from typer.testing import CliRunner
 
@@ -6,7 +6,7 @@ RUNNER = CliRunner()
 
 
 def called(app, *arguments):
-    """Exit status, standard output and standard error; any other exception is the test's."""
+    """Return exit status, standard output and standard error. Other exceptions are raised."""
     result = RUNNER.invoke(app, [str(argument) for argument in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception

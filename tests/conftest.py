@@ -1,5 +1,5 @@
-"""Strict JAX for the whole suite: no silent promotion, warnings are errors, both dtypes at hand;
-and quick compiles, which are most of its time."""
+"""Strict JAX for all tests: no silent promotion, warnings are errors, and both dtypes are
+available. Quick compilation, because compilation takes most of the time."""
 
 import gc
 import itertools
@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
-os.environ.setdefault("JAX_PLATFORMS", "cpu")  # by which tolerances were set, beside a GPU too
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of workers, whose threads wait for each other
+os.environ.setdefault("JAX_PLATFORMS", "cpu")  # for which tolerances were set
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # workers' threads would wait for each other
 
 import jax
 import jaxlib.version
@@ -21,19 +21,19 @@ import pytest
 
 from jaxvision.programs import quick_flags
 
-gc.set_threshold(20_000, 20, 100)  # what has been traced is much, and seldom garbage
+gc.set_threshold(20_000, 20, 100)  # tracing makes many objects, which are seldom garbage
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 DATA = Path(
     os.environ.get("JAXVISION_DATA", Path(__file__).parents[1].parent / "shared" / "data")
 ).resolve()
-COMPILED_BYTES = 2**30  # what is compiled is kept between runs up to this size
+COMPILED_BYTES = 2**30  # maximum size of the compiled programs that are kept between runs
 
 
 def compiled_folder(config: pytest.Config) -> Path:
-    """Where compiled programs are kept between runs: those of this version of XLA alone, and if
-    they have grown too many, the newest half of them."""
+    """Return the folder where compiled programs are kept between runs. It is for this version of
+    XLA only, and if it has grown too large, only the newest half is kept."""
     kept = config.rootpath / ".pytest_cache" / "xla"
     folder = kept / jaxlib.version.__version__
     folder.mkdir(parents=True, exist_ok=True)
@@ -47,9 +47,9 @@ def compiled_folder(config: pytest.Config) -> Path:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The default run compiles quickly; long sweeps and benchmarks as users do. What one worker
-    or an earlier run has compiled the others read, but for benchmarks, which time it. All this
-    before the first use of XLA, which reads its flags then; workers inherit them."""
+    """Set flags before the first use of XLA, which reads them then; workers inherit them. The
+    default run compiles quickly, and slow tests and benchmarks as for users. Programs compiled by
+    one worker or an earlier run are shared, except in benchmarks, which time compilation."""
     if config.option.markexpr == "benchmark":
         return
     if "not slow" in config.option.markexpr:
@@ -60,26 +60,26 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    # a worker may meet an entry that another is still writing, or that a killed run left half
-    # written: then it compiles its own
+    # A worker may read an entry that another is still writing, or that a killed run left
+    # incomplete. Then it compiles the program itself.
     config.addinivalue_line("filterwarnings", "ignore:Error (read|writ)ing persistent compilation")
 
 
 def share_lowering_context() -> None:
-    """One MLIR context for some hundred programs. JAX makes one for each, with all its dialects,
-    which takes a quarter of the time of an operation that is compiled by itself. A new one now and
-    then lets go of the constants that the last one keeps."""
+    """Share one MLIR context between 256 programs. JAX makes one for each program, with all its
+    dialects, which takes a quarter of the time of a small program. A new context now and then frees
+    the constants that the last one keeps."""
     from jax._src.interpreters import mlir
 
     make = getattr(mlir, "make_ir_context", None)
-    if make is None:  # another JAX: it makes its own
+    if make is None:  # another version of JAX
         return
     contexts = (context for _ in itertools.count() for context in itertools.repeat(make(), 256))
     one_at_a_time = threading.Lock()  # fits compile in threads
 
     def shared() -> object:
         try:
-            inside = mlir.ir.Context.current is not None  # a program compiled while one is lowered
+            inside = mlir.ir.Context.current is not None  # another program is being lowered
         except ValueError:
             inside = False
         if inside:
@@ -92,9 +92,9 @@ def share_lowering_context() -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a sweep over like cases the default run takes the first, and those whose ids hold a word
-    that the mark names; the others are slow. Slow are hard cases in float64 too, the easier
-    precision, and what needs the simulated afternoon."""
+    """Mark tests as slow. Of a sweep over similar cases the default run takes the first, and those
+    whose ids contain a word that the mark names; the others are slow. Hard cases in float64, the
+    easier precision, and tests that need the simulated afternoon are slow, too."""
     begun = set()
     for item in items:
         hard = item.path.parent.name == "stability" and "float64" in item.name
@@ -109,7 +109,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
-    """The published measurements; tests that need them are skipped, saying so, when absent."""
+    """Return the folder of published measurements, or skip the test with a reason if there is
+    none."""
     if not DATA.is_dir():
         pytest.skip(f"measurements not found at {DATA}; set JAXVISION_DATA to their folder")
     return DATA
@@ -117,7 +118,8 @@ def data_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory, worker_id):
-    """(folder, truth) of one simulated lab afternoon, which the first worker simulates for all."""
+    """Return (folder, true values) of one simulated lab afternoon, which the first worker simulates
+    for all."""
     from fitting.demo.lab import simulate_lab
 
     alone = worker_id == "master"
@@ -126,7 +128,7 @@ def lab(tmp_path_factory, worker_id):
     truth, waited = folder / "truth.pickle", 0
     try:
         folder.mkdir()
-    except FileExistsError:  # another worker is at it
+    except FileExistsError:  # another worker is simulating it
         while not truth.exists() and waited < 600:
             time.sleep(1)
             waited += 1
@@ -139,7 +141,7 @@ def lab(tmp_path_factory, worker_id):
 
 @pytest.fixture
 def as_for_users():
-    """Without the suite's type checks, which would refuse first."""
+    """Switch off the suite's type checks, which would refuse bad input before the library does."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

@@ -1,9 +1,8 @@
-"""Which of a program's decompositions of many matrices may run at the same time.
+"""Find the batched decompositions in a program that may run at the same time.
 
-XLA's CPU pool hands the matrices of a batch out to its own threads and waits for them in one of
-them. Where as many decompositions as there are threads wait at the same time, they wait for ever
-(jaxlib 0.10; seen on two cores).
-"""
+XLA's CPU pool distributes the matrices of a batch over its own threads, and waits for them in one
+of them. If as many decompositions as there are threads wait at the same time, they wait for ever
+(jaxlib 0.10; seen on two cores)."""
 
 from typing import Any
 
@@ -18,7 +17,7 @@ PARALLEL = {"cholesky", "eig", "eigh", "geqrf", "householder_product", "lu", "sv
 
 
 def beside_each_other(function: Any, *arguments: Any) -> list[tuple[str, str]]:
-    """Pairs of decompositions of batches of which neither waits for the other."""
+    """Return pairs of batched decompositions where neither waits for the other."""
     return _pairs(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
@@ -29,7 +28,7 @@ def _inner(equation: Any) -> list[Any]:
 
 
 def _decomposes(equation: Any) -> str:
-    """Name of the primitive, of the first one within, or ""."""
+    """Return the name of the decomposition, or of the first one inside the equation, or ""."""
     if equation.primitive.name in PARALLEL:
         batch = equation.invars[0].aval.shape[:-2]
         return equation.primitive.name if any(size > 1 for size in batch) else ""
@@ -38,7 +37,7 @@ def _decomposes(equation: Any) -> str:
 
 
 def _pairs(jaxpr: Any) -> list[tuple[str, str]]:
-    behind: dict[Any, set[int]] = {}  # decompositions that each value waits for
+    behind: dict[Any, set[int]] = {}  # the decompositions that each value waits for
     known: dict[int, str] = {}
     pairs = []
     for number, equation in enumerate(jaxpr.eqns):

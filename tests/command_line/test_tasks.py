@@ -1,4 +1,5 @@
-"""Independent tasks give the same results on workers as alone, in the order of the tasks."""
+"""Tests that independent tasks give the same results on workers as in one process, in the order of
+the tasks."""
 
 import gc
 import os
@@ -38,7 +39,7 @@ system = pytest.importorskip("distributed.system")
 
 @pytest.fixture(scope="module")
 def client():
-    """Three threads of this process, each a worker of its own."""
+    """Return a client of three threads of this process, each a worker."""
     made = distributed.LocalCluster(
         n_workers=3, threads_per_worker=1, processes=False, dashboard_address=":0"
     )
@@ -77,7 +78,7 @@ def test_a_task_that_fails_fails_here_and_the_rest_is_cancelled(client):
 
 
 class JustInTime:
-    """A future that is done at the moment when a look at it times out."""
+    """A future that finishes at the moment when waiting for it times out."""
 
     def result(self, timeout=None):
         if timeout is not None:
@@ -92,7 +93,7 @@ def out_of_time(shared, item):
     raise TimeoutError(f"the camera of {item} did not answer")
 
 
-def test_a_look_that_times_out_is_no_failure_of_the_task(client):
+def test_a_timeout_while_waiting_is_no_failure_of_the_task(client):
     assert tasks._await(client, JustInTime()) == 7  # pyright: ignore[reportArgumentType]
     with jv.cluster(client), pytest.raises(TimeoutError, match="the camera of 0"):
         list(tasks.map_ordered(out_of_time, None, range(3)))
@@ -105,8 +106,8 @@ def uneven(shared, item):
     return item
 
 
-def test_short_tasks_go_in_bundles_of_which_none_is_lost(client, monkeypatch):
-    """Not by a long one among them, whose bundle is cut, nor by one that fails."""
+def test_short_tasks_are_sent_in_bundles_without_losses(client, monkeypatch):
+    """No task is lost if a bundle is split because one task is long, or if one task fails."""
     sent, found = [], []
     submit = client.submit
     monkeypatch.setattr(tasks, "BUNDLE", 0.1)
@@ -228,7 +229,7 @@ def test_a_task_larger_than_a_workers_memory_is_refused_before_any_work(client, 
 
 
 class Nanny:
-    """What watches one process of a local cluster; none that was lost while it started."""
+    """Stands for the object that watches one process of a local cluster."""
 
     def __init__(self, pid, closed):
         self.pid, self.closed = pid, closed
@@ -302,8 +303,8 @@ def test_a_picture_has_the_same_bits(client, tmp_path):
 
 
 @pytest.mark.slow
-def test_records_that_tasks_share_are_not_kept_when_they_are_done():
-    """Equinox keeps for ever what plain pickle makes of its modules, a scene for each render."""
+def test_records_shared_by_tasks_are_freed_after_them():
+    """Equinox would keep every module that plain pickle makes, one scene for each render."""
     light = jv.PointLight([1.0, 2.0, 3.0], [4.0])
     made = pickle.loads(tasks._pack({"light": light, "add": lambda x: x + 1}))
     np.testing.assert_array_equal(made["light"].position, light.position)
@@ -316,7 +317,8 @@ def test_records_that_tasks_share_are_not_kept_when_they_are_done():
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_tasks_like_earlier_ones_compile_nothing(tmp_path, caplog, every):
-    """What a worker compiles anew, or JAX remembers, at each task adds up in it for ever."""
+    """Repeated compilations, or caches of JAX that grow with each task, would add up in a
+    worker."""
     (tmp_path / "ball.toml").write_text(BALL)
     folder = write_camera(tmp_path / "camera", seed=0, levels=4, side=16) if every else None
 
@@ -362,7 +364,8 @@ def test_a_task_too_large_for_its_workers_memory_is_a_sentence(monkeypatch):
 
 
 def slow_tile(shared, item):
-    """A tenth of a second of arithmetic that depends on all of its past."""
+    """Return the result of a tenth of a second of arithmetic, in which each number depends on the
+    previous ones."""
     rng = np.random.default_rng((shared, item))
     time.sleep(0.1)
     return rng.standard_normal(1000).cumsum()
@@ -375,7 +378,7 @@ def worker_processes():
 
 @pytest.mark.slow
 def test_killed_workers_are_replaced_and_nothing_is_lost_or_doubled():
-    """200 tasks on two processes, one of which is killed at 20 random moments."""
+    """One of two processes is killed at 20 random moments during 200 tasks."""
     alone = list(tasks.map_ordered(slow_tile, 3, range(200)))
     rng, found, kills = np.random.default_rng(0), [], 0
     with tasks.workers(2):

@@ -1,4 +1,5 @@
-"""The mosaic of a colour filter array, pixel by pixel; and patterns that are not tiles."""
+"""Tests the mosaic of a colour filter array pixel by pixel, and the refusal of patterns that are
+not tiles."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,5 @@
-"""Frames are right-handed and orthonormal for every normal; nodes and samples integrate."""
+"""Tests that local frames are right-handed and orthonormal for every normal, and that quadrature
+nodes and samples integrate."""
 
 import jax
 import jax.numpy as jnp
@@ -26,19 +27,19 @@ def test_a_vector_over_a_number():
 
 
 def test_zeros_are_printed_without_a_sign():
-    """Duff's formula leaves some negative zeros."""
+    """Duff's formula gives some negative zeros."""
     frame = hs.local_frame(jnp.array([0.0, 0.0, 1.0]))
     assert str(frame.tangent) == "Vec(x=1, y=0, z=0)"
     assert str(frame.bitangent) == "Vec(x=0, y=1, z=0)"
 
 
 def matrix(frame):
-    """Rows: tangent, bitangent, normal."""
+    """Return the matrix with rows tangent, bitangent and normal."""
     return np.stack([as_array(v) for v in (frame.tangent, frame.bitangent, frame.normal)])
 
 
 def normals(dtype):
-    """Random ones, the six axes, and the south pole's surroundings, where an older formula
+    """Return random normals, the six axes, and normals near the south pole, where an older formula
     fails."""
     around = RNG.normal(size=(50, 3))
     south = np.stack([[1e-4 * np.cos(a), 1e-4 * np.sin(a), -1] for a in np.linspace(0, 6, 12)])
@@ -80,7 +81,8 @@ def test_to_the_frame_and_back():
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["cosine", "uniform"])
 def test_samples_follow_their_density(kind):
-    """Of a cosine density cos^2 is uniform, of a uniform one cos itself; the azimuth of both."""
+    """For a cosine density cos^2 is uniform, and for a uniform density cos. The azimuth is uniform
+    for both."""
     u = jnp.asarray(RNG.uniform(size=(20_000, 2)))
     w = jax.vmap(getattr(hs, f"{kind}_direction"))(u)
     np.testing.assert_allclose(w.x**2 + w.y**2 + w.z**2, 1, rtol=1e-12)
@@ -98,7 +100,7 @@ def test_samples_follow_their_density(kind):
 @pytest.mark.sweep
 @pytest.mark.parametrize(("polar", "azimuths"), [(1, 1), (4, 8), (16, 33)])
 def test_product_nodes_integrate_polynomials_exactly(polar, azimuths):
-    """int x^a y^b z^c over the hemisphere, from Gamma functions."""
+    """The exact integrals of x^a y^b z^c over the hemisphere are given by Gamma functions."""
     from scipy.special import gamma
 
     nodes, weights = hs.product_nodes(polar, azimuths)
@@ -122,7 +124,8 @@ def test_no_nodes_is_an_error():
 
 
 def test_a_direction_near_the_axis_keeps_its_digits():
-    """1 - cos = 1e-10 in float32: sin = sqrt(2e-10), which 1 - cos(theta) would round to 0."""
+    """For 1 - cos = 1e-10 in float32, sin = sqrt(2e-10). Computed from cos(theta) it would round to
+    0."""
     w = hs.direction_at(jnp.float32(1e-10), jnp.float32(0))
     np.testing.assert_allclose(w.x, np.sqrt(2e-10), rtol=1e-6)
 
@@ -134,7 +137,7 @@ def test_gradients_are_finite_at_the_edges(dtype):
     edges = jnp.asarray([[0, 0, 1], [0, 0, -1], [0, 0, 0]], dtype)
 
     def slopes(function, *batches):
-        """Of a function of arrays, in all combinations of the given rows."""
+        """Return the Jacobian of a function of arrays, for all combinations of the given rows."""
         slope = jax.jacobian(lambda *v: as_array(function(*v)), argnums=range(len(batches)))
         for i in range(len(batches)):
             slope = jax.vmap(

@@ -1,4 +1,5 @@
-"""What records show in a notebook: their numbers, escaped, and pictures where they are pictures."""
+"""Tests what records show in a notebook: their numbers, escaped, and pictures for records of
+pictures."""
 
 import base64
 import io
@@ -24,12 +25,12 @@ from jaxvision.core.in_notebooks import record_html
 from jaxvision.files.scenes import read_scene
 from jaxvision.transport import Traced
 
-ODD = "<script>&a</script>"  # a name that would be markup
+ODD = "<script>&a</script>"  # a name that contains markup
 ESCAPED = "&lt;script&gt;&amp;a&lt;/script&gt;"
 
 
 def cells(record):
-    """Rows of text in the table of a record; its markup closes."""
+    """Return the rows of text in the table of a record, and check that its markup is closed."""
     html = record._repr_html_()
     assert html.count("<tr>") == html.count("</tr>")
     assert html.count("<div") == html.count("</div>")
@@ -38,7 +39,7 @@ def cells(record):
 
 
 def picture(record):
-    """(h, w, 3) of the picture."""
+    """Return the record's picture, (h, w, 3)."""
     (found,) = re.findall('src="data:image/png;base64,([^"]+)"', record._repr_html_())
     return plt.imread(io.BytesIO(base64.b64decode(found)))[..., :3]
 
@@ -128,7 +129,7 @@ def test_stereo_shows_normals_and_albedo():
     assert cells(found)[1] == ["albedo", "75", "[50, 100]", "readings / irradiance"]
     assert "albedo: median 75, 90 % of pixels in [50, 100] readings / irradiance" in str(found)
     seen = picture(found)
-    blue = (np.abs(seen - [0.5, 0.5, 1.0]) < 0.02).all(axis=-1)  # what faces the camera
+    blue = (np.abs(seen - [0.5, 0.5, 1.0]) < 0.02).all(axis=-1)  # the surface that faces the camera
     assert blue.sum() > 1000
     dark = photometric_stereo(np.zeros((4, 4, 5)), lights)
     assert "at 0 of 20 pixels" in dark._repr_html_()

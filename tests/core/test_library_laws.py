@@ -1,6 +1,5 @@
-"""Random laws and special functions of JAX and SciPy, over the arguments for which
-`docs/concepts/random_laws.md` says that they are right: against mpmath, or each other.
-"""
+"""Tests random draws and special functions of JAX and SciPy against mpmath or each other, for the
+arguments where `docs/concepts/random_laws.md` calls them correct."""
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +59,8 @@ def test_incomplete_gamma_function_up_to_where_we_use_it(dtype, a, bound):
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_random_laws_of_jax(dtype):
-    """Kolmogorov's and Smirnov's test of 300,000 draws, and the ends that a draw can reach."""
+    """300,000 draws pass the Kolmogorov-Smirnov test, and their extreme values are those that a
+    draw can have."""
     size = (300_000,)
     z = np.asarray(jax.random.normal(KEY, size, dtype))
     assert stats.kstest(z, "norm").pvalue > 1e-3
@@ -78,7 +78,7 @@ def test_random_laws_of_jax(dtype):
 
 
 def test_quantiles_of_scipy():
-    """Each inverse against its own law."""
+    """Each inverse is checked against its own distribution function."""
     p = np.array([1e-6, 0.001, 0.025, 0.5, 0.975])
     for dof in (0.5, 1.0, 10.0, 1e4, 1e7):
         np.testing.assert_allclose(

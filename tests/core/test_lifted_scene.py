@@ -1,4 +1,4 @@
-"""RGB as spectra: against colour-science, and back to RGB."""
+"""Tests the conversion of RGB to spectra against colour-science, and back to RGB."""
 
 import colour
 import jax.numpy as jnp
@@ -17,7 +17,8 @@ COLOURS = np.concatenate(
 
 
 def linear_srgb(reflectance, grid):
-    """Under D65, by CIE's sums; XYZ to RGB by colour-science's own matrix."""
+    """Return linear sRGB under D65 by the CIE's sums, with colour-science's matrix from XYZ to
+    RGB."""
     observer, lamp = colour_data.observer(grid), colour_data.illuminant("D65", grid)
     xyz = np.asarray(spectra.reflectance_to_xyz(reflectance, grid, observer, lamp))
     return xyz @ np.linalg.inv(colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ).T
@@ -40,8 +41,9 @@ def test_reflectances_stay_between_black_and_white(grid):
 
 
 @pytest.mark.parametrize(("grid", "most"), [(GRID, 3e-4), (CAMERA, 1.2e-2)])
-def test_rgb_comes_back(grid, most):
-    """On the table's own grid, and every 10 nm, which samples its steep flanks half as often."""
+def test_rgb_is_recovered(grid, most):
+    """RGB is recovered on the table's own grid, and at steps of 10 nm, which resolve its steep
+    flanks half as well."""
     lifted = spectra.rgb_to_reflectance(COLOURS, colour_data.rgb_basis(grid))
     assert np.abs(linear_srgb(lifted, grid) - COLOURS).max() < most
 
@@ -53,7 +55,8 @@ def ball(colour_of, light):
 
 @pytest.mark.slow
 def test_a_lifted_scene_looks_as_in_rgb():
-    """A ball by white light, in the bands and summed by the observer, against RGB's picture."""
+    """A ball in white light, rendered with spectra and integrated with the observer, equals its
+    picture in RGB."""
     view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(8, 8))
     rgb = ball([0.2, 0.05, 0.1], [6.0, 6.0, 6.0])
     lifted = jv.lift_scene(rgb, GRID)
@@ -67,7 +70,7 @@ def test_a_lifted_scene_looks_as_in_rgb():
     assert expected.max() > 0.05
 
 
-def test_every_part_is_lifted_and_what_is_neutral_stays():
+def test_every_part_is_lifted_and_neutral_parts_stay():
     glossy = jv.TorranceSparrow(
         [0.1, 0.2, 0.1], [0.5], 0.3, interface=jv.Dielectric([1.5, 1.5, 1.5])
     )
@@ -106,7 +109,7 @@ def test_every_part_is_lifted_and_what_is_neutral_stays():
         ),
     ],
 )
-def test_what_rgb_does_not_tell_is_refused(scene, words):
+def test_unknown_parts_of_rgb_scenes_are_refused(scene, words):
     with pytest.raises(InputError, match=words):
         jv.lift_scene(scene, CAMERA)
 

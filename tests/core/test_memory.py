@@ -1,4 +1,4 @@
-"""Freed memory is kept: what the kernel maps anew is counted, not timed."""
+"""Tests that freed memory is reused, by counting newly mapped pages instead of timing."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The primitives against mpmath, in units of the last place, with gradients at every edge."""
+"""Tests the numerical primitives against mpmath, in ULP, and their gradients at every edge."""
 
 from fractions import Fraction
 
@@ -18,7 +18,7 @@ RNG = np.random.default_rng(20240501)
 
 
 def unit_pairs(dtype, angle, count=8):
-    """Pairs of nearly unit vectors about `angle` apart, rounded to `dtype`."""
+    """Return pairs of nearly unit vectors about `angle` apart, rounded to `dtype`."""
     u = RNG.normal(size=(count, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     side = np.cross(u, RNG.normal(size=(count, 3)))
@@ -42,7 +42,7 @@ def test_norm_and_normalize(dtype, scale):
 
 @both_precisions
 def test_arctan2_and_its_slopes(dtype):
-    """The angle as mpmath has it, and x / (x^2 + y^2), -y / (x^2 + y^2)."""
+    """The angle is mpmath's, and the slopes are x / (x^2 + y^2) and -y / (x^2 + y^2)."""
     angles = np.array([0.0, 1e-6, 0.3, 0.7, 0.9, 1.5707, 1.5709, 2.0, 3.0, np.pi])
     lengths = np.array([1e-12, 1.0, 1e12])[:, None]
     x, y = (jnp.asarray((lengths * f(angles)).ravel(), dtype) for f in (np.cos, np.sin))
@@ -62,7 +62,7 @@ def test_angles(dtype, angle):
     u, v = unit_pairs(dtype, angle)
     for a, b, got in zip(u, v, num.angle_between(u, v), strict=True):
         truth = exact.angle(exact.vector(a), exact.vector(b))
-        # the inputs are unit to half a unit in the last place, which turns by as much near pi
+        # the inputs have unit length up to half a ULP, which changes angles near pi by as much
         assert exact.ulps(got, truth) <= 4
 
 
@@ -80,7 +80,8 @@ def test_divide_where_there_is_a_quotient(dtype):
 @pytest.mark.slow
 @both_precisions
 def test_sine_and_cosine_of_turns(dtype):
-    """Many turns, next to every eighth, tiny and negative; quarters exactly."""
+    """Many turns, angles next to multiples of an eighth, tiny and negative ones. Quarters are
+    exact."""
     eighths = np.arange(17) / 8
     turns = [RNG.random(200), eighths * (1 + 1e-6), [1e-6, 1e-20, -0.3, 7.3, 1000.1]]
     turns = np.concatenate(turns).astype(dtype)
@@ -100,7 +101,7 @@ def test_sine_and_cosine_of_turns(dtype):
 @both_precisions
 @pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, 1.1, 1.5])
 def test_log_cos(dtype, angle):
-    """The unit vectors themselves are off by eps / 2, which moves log cos by as much."""
+    """The unit vectors have errors of eps / 2 themselves, which change log cos by as much."""
     u, v = unit_pairs(dtype, angle)
     eps = float(jnp.finfo(dtype).eps)
     for a, b, got in zip(u, v, num.log_cos_between(u, v), strict=True):
@@ -111,7 +112,7 @@ def test_log_cos(dtype, angle):
 
 @pytest.mark.slow
 @both_precisions
-def test_log_cos_from_a_right_angle_on_stands_for_zero(dtype):
+def test_log_cos_at_a_right_angle_and_beyond_stands_for_zero(dtype):
     u = jnp.asarray([0, 0, 1], dtype)
     beyond = jnp.asarray([[1, 0, 0], [0, 0.6, -0.8], [0, 0, -1], [0, 0, 0]], dtype)
     values = jax.vmap(lambda v: num.log_cos_between(u, v))(beyond)
@@ -164,7 +165,8 @@ def test_gradient_of_norm_is_the_unit_vector():
 
 @both_precisions
 def test_the_cross_product_of_nearly_parallel_vectors_keeps_its_digits(dtype):
-    """Against rational numbers; a thousandth off parallel the plain formula loses three digits."""
+    """The reference uses rational numbers. For vectors within a thousandth of parallel the plain
+    formula loses three digits."""
     rng = np.random.default_rng(3)
     u = rng.normal(size=(200, 3)).astype(dtype)
     v = (1.25 * u + 1e-3 * rng.normal(size=(200, 3)).astype(dtype)).astype(dtype)
@@ -178,7 +180,8 @@ def test_the_cross_product_of_nearly_parallel_vectors_keeps_its_digits(dtype):
 
 @both_precisions
 def test_log1p_in_ulps(dtype):
-    """Against mpmath; between -0.414 and -0.29 XLA's is off by up to 128 units in float64."""
+    """The reference is mpmath. Between -0.414 and -0.29, XLA's function is wrong by up to 128 ULP
+    in float64."""
     x = np.concatenate(
         [
             np.linspace(-0.45, -0.2, 400),
@@ -196,8 +199,9 @@ def test_log1p_in_ulps(dtype):
     np.testing.assert_allclose(slopes, [4, 4 / 3, 1, 0.25], rtol=1e-6)
 
 
-def test_running_sums_never_fall_and_rest_where_nothing_is_added():
-    """Of 300,000 weights in float32, half of them 0; `jnp.cumsum` falls at some of them."""
+def test_running_sums_never_decrease_and_are_constant_over_zeros():
+    """The sum is over 300,000 weights in float32, half of them 0. `jnp.cumsum` decreases at some of
+    them."""
     rng = np.random.default_rng(0)
     weights = jnp.asarray(
         rng.uniform(size=300_000) * (rng.uniform(size=300_000) < 0.5), jnp.float32

@@ -1,4 +1,5 @@
-"""Borders against numpy.pad and scipy, on planes and images, and far outside the picture."""
+"""Tests borders against `numpy.pad` and SciPy, for planes and images, and far outside the
+picture."""
 
 import jax
 import numpy as np
@@ -69,7 +70,7 @@ def test_batch_and_bands_are_planes_of_their_own(border):
 @pytest.mark.sweep
 @pytest.mark.parametrize("border", BORDERS)
 @pytest.mark.parametrize("n", [1, 2, 5])
-def test_ghosts_are_what_pad_does(border, n):
+def test_ghosts_equal_padding(border, n):
     row = RNG.normal(size=n)
     rule = ghosts(border, n, 7, 12)
     by_rule = rule.own * row[rule.source] + rule.first * row[0] + rule.last * row[-1]
@@ -96,8 +97,8 @@ def test_no_picture(shape):
         pad(np.ones(shape), ((1, 1), (1, 1)))
 
 
-def test_a_signal_is_told_where_signals_go():
-    """What the sentence names works, and both ways agree."""
+def test_a_one_dimensional_signal_is_refused_with_alternatives():
+    """The alternatives named in the message work, and agree."""
     signal = np.arange(20.0) ** 2
     with pytest.raises(ValueError, match=r"signal \(n,\).*correlate.*gaussian_kernel.*\[None\]"):
         filters.gaussian(signal, 2.0)

@@ -1,5 +1,5 @@
-"""Arrays that carry more than numbers: a mask is used or refused, units, coordinates and an index
-are refused in one sentence, at every entrance."""
+"""Tests arrays that carry more than numbers, at every public function: a mask is used or refused,
+and units, coordinates and an index are refused in one sentence."""
 
 import datetime
 import re
@@ -25,8 +25,8 @@ from scipy.sparse import csr_array
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, fit, fit_map, noise, reflectance, response
 
-LONGEST = 300  # characters of a sentence
-# Tuples of pictures that another function has made, whose parts nobody replaces.
+LONGEST = 300  # characters in a message
+# Tuples of pictures made by another function, whose parts users do not replace.
 MADE_BY_OTHERS = {"filters.steerable.oriented_energy", "filters.steerable.steer"}
 
 
@@ -44,7 +44,7 @@ def carriers(x):
 
 
 def refusal(call):
-    """The sentence in which a call is refused."""
+    """Return the message with which a call is refused."""
     with pytest.raises(ValueError, match=r"\.$") as caught:
         call()
     return str(caught.value)
@@ -52,8 +52,8 @@ def refusal(call):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("room", ROOMS)
-def test_no_public_function_reads_only_the_numbers(room):
-    """In each array argument of each function, and each array field of a record among them."""
+def test_no_public_function_ignores_masks_or_units(room):
+    """The test covers each array argument of each function, and each array field of its records."""
     known = doors()
     for name, (arguments, options) in examples_of(room).items():
         private = any(part.startswith("_") for part in name.split("."))
@@ -84,7 +84,7 @@ def put_in(function, arguments, path, value):
 
 
 def outline(function, arguments):
-    """Shapes of what it gives, or its sentence."""
+    """Return the shapes of the result, or the message of the refusal."""
     try:
         return str(jax.eval_shape(lambda: function(*arguments)))
     except ValueError as error:
@@ -137,7 +137,7 @@ def test_a_parameter_has_no_unit_of_its_own():
 
 
 @pytest.mark.parametrize("kind", [masked, xarray.DataArray, lambda x: x * units.adu])
-def test_calibrations_refuse_what_they_would_lose(kind):
+def test_calibrations_refuse_what_they_would_ignore(kind):
     frames = np.random.default_rng(0).poisson(100.0, (2, 8, 8))
     odd = [kind(frame) for frame in frames]
     said = refusal(
@@ -218,7 +218,7 @@ def test_exposures_and_photons_are_numbers_in_their_order(times):
 
 
 @pytest.mark.parametrize("kind", [int, float])
-def test_masked_images_are_told_what_leaves_pixels_out(kind):
+def test_masked_images_are_refused_with_the_way_to_leave_pixels_out(kind):
     odd = masked(np.random.default_rng(0).poisson(100.0, (8, 8)).astype(kind))
     said = refusal(lambda: response.from_stack([odd, odd], [1, 2], camera=response.Camera(bits=8)))
     assert "1 of its 64 numbers masked" in said
@@ -237,7 +237,7 @@ def test_a_record_names_the_field_that_refuses(value):
     for make, field in (
         (lambda: jv.Sphere([0, 0, 0], value), "Sphere.radius"),
         (lambda: jv.Sphere([0, 0, value], 1.0), "Sphere.centre"),
-        (lambda: jv.Phong([0.1], value, 9.0), "Phong.specular"),  # a field of its base
+        (lambda: jv.Phong([0.1], value, 9.0), "Phong.specular"),  # a field of its base class
         (lambda: jv.Phong([0.1], [0.1], 9.0, ambient=value), "Phong.ambient"),
         (lambda: jv.Ray([0, 0, 0], value), "Ray.direction"),
     ):
@@ -266,7 +266,7 @@ LARGE = 3_000_000_000  # beyond 32 bits
 
 @pytest.fixture
 def as_users_start():
-    """JAX's own integers, of 32 bits."""
+    """Use JAX's default integers, of 32 bits."""
     with jax.enable_x64(False):
         yield
 

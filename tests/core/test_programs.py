@@ -1,4 +1,5 @@
-"""How the commands compile: what the user set stands, entries of a killed run do no harm."""
+"""Tests how the commands compile: settings of the user are kept, and incomplete entries of a killed
+run do no harm."""
 
 import os
 import subprocess
@@ -19,9 +20,9 @@ OURS = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMP
 
 @pytest.fixture
 def untouched(monkeypatch, tmp_path):
-    """An environment that says nothing, and an empty cache folder."""
+    """Return an empty cache folder, in an environment without settings."""
     for name in (*OURS, "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"):
-        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.setenv(name, "")  # restored after the test
         monkeypatch.delenv(name)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     return tmp_path
@@ -37,7 +38,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "version", lambda name: "0.10.9")
-    monkeypatch.setattr(programs, "find_spec", lambda name: name)  # an accelerator is there
+    monkeypatch.setattr(programs, "find_spec", lambda name: name)  # a pretended accelerator
     programs.compile_quickly()
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "find_spec", lambda name: None)
@@ -45,12 +46,12 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     moderate = programs.short_run_options() | {"xla_backend_optimization_level": 1}
     assert programs.medium_run_options() == moderate
     programs.compile_quickly()
-    assert programs.medium_run_options() == moderate  # whatever the flags say of all programs
-    assert programs.short_run_options() is None  # the flags say so of all programs
+    assert programs.medium_run_options() == moderate  # whatever the flags for all programs
+    assert programs.short_run_options() is None  # the flags already say so for all programs
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
     assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]
     monkeypatch.delenv("XLA_FLAGS")
-    monkeypatch.setattr(programs, "version", lambda name: "0.12.0.1")  # would end at that flag
+    monkeypatch.setattr(programs, "version", lambda name: "0.12.0.1")  # exits at that flag
     programs.compile_quickly()
     assert "fusion_emitters" not in os.environ["XLA_FLAGS"]
 
@@ -81,7 +82,7 @@ def test_programs_are_kept_where_they_may_be(untouched, monkeypatch):
     assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
 
 
-def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
+def test_of_too_many_programs_the_older_half_is_removed(untouched, monkeypatch):
     other = untouched / "jaxvision" / "0.1-ab"
     other.mkdir(parents=True)
     for age in range(10):
@@ -98,14 +99,14 @@ def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
 
 
 class _Own(NamedTuple):
-    """A record that the package does not know."""
+    """A record type that the package does not know."""
 
     x: jax.Array
 
 
 @pytest.fixture
 def kept(untouched, monkeypatch):
-    """A folder with the whole program of 2 x + 1, and how to call it again."""
+    """Return a folder with the stored program of 2 x + 1, and a function that calls it again."""
     monkeypatch.setattr(programs, "_keeps_whole", False)
     programs.keep_programs()
 
@@ -140,7 +141,7 @@ def test_another_program_is_traced(kept, monkeypatch):
     call(jnp.arange(3), traced=True)
     call(jnp.arange(3.0), "of another setting", traced=True)
     call(_Own(jnp.arange(3.0)), traced=True)
-    call(_Own(jnp.arange(3.0)), traced=True)  # what is not known is never kept
+    call(_Own(jnp.arange(3.0)), traced=True)  # a program with an unknown type is never stored
     monkeypatch.setattr(programs, "source_digest", lambda: "another source")
     call(jnp.arange(3.0), traced=True)
     monkeypatch.setattr(programs, "_keeps_whole", False)
@@ -150,7 +151,7 @@ def test_another_program_is_traced(kept, monkeypatch):
 @pytest.mark.parametrize(
     "harm", ["cut", "changed", "of another shape", "writable", "of another user"]
 )
-def test_a_whole_program_that_is_not_ours_is_compiled_anew(kept, harm, monkeypatch):
+def test_a_damaged_or_foreign_stored_program_is_compiled_again(kept, harm, monkeypatch):
     call, file = kept
     if harm == "cut":
         file.write_bytes(file.read_bytes()[:1000])
@@ -168,7 +169,7 @@ def test_a_whole_program_that_is_not_ours_is_compiled_anew(kept, harm, monkeypat
         monkeypatch.setattr(os, "geteuid", lambda: file.stat().st_uid + 1)
     np.testing.assert_array_equal(call(jnp.arange(3.0), traced=True), [1, 3, 5])
     if harm != "of another user":
-        call(jnp.arange(3.0))  # it was written anew
+        call(jnp.arange(3.0))  # it was written again
 
 
 PROGRAM = """
@@ -198,7 +199,7 @@ def test_half_written_programs_are_compiled_anew(untouched):
     assert (again.stdout, again.stderr) == ("3.5\n", "")
 
 
-def test_the_default_device_says_for_what_a_program_is_made(monkeypatch):
+def test_programs_are_made_for_the_default_device(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert not programs.targets_cpu()
     for named in ("cpu", jax.devices("cpu")[0]):

@@ -1,4 +1,5 @@
-"""Numbers that are named, not drawn: uniform, independent along every index, reproducible."""
+"""Tests the counter-based random numbers: uniform, independent along every index, and
+reproducible."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ SEED = seed_of(jax.random.key(11))
 
 
 def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
-    """(pixels, samples, 4 blocks) of them."""
+    """Return the numbers, (pixels, samples, 4 blocks)."""
 
     def block(p, s, b):
         return uniforms(Stream(p, s, seed), b, dtype)
@@ -24,13 +25,14 @@ def numbers(pixels, samples, blocks, *, seed=SEED, dtype=jnp.float32):
 
 @pytest.fixture(scope="module")
 def drawn():
-    return numbers(np.arange(512), np.arange(64), np.arange(4))  # 2^19 of them
+    return numbers(np.arange(512), np.arange(64), np.arange(4))  # 2^19 numbers
 
 
 @pytest.mark.slow
 def test_uniform(drawn):
-    """Kolmogorov and Smirnov over all; chi-square in 256 bins of each dimension of five seeds,
-    whose levels must themselves be even: 80 of them, so that one of 1e-3 is no surprise."""
+    """All numbers pass the Kolmogorov-Smirnov test, and 256 bins of each dimension for five seeds
+    the chi-square test. Its 80 levels must be uniform themselves, so one of 1e-3 is to be
+    expected."""
     assert stats.kstest(drawn.ravel(), "uniform").pvalue > 1e-3
     assert drawn.min() >= 0
     assert drawn.max() < 1
@@ -46,8 +48,8 @@ def test_uniform(drawn):
     assert min(levels) > 1e-5
 
 
-def test_low_bits_are_as_good(drawn):
-    """The last 8 of 24 bits, which multiplication reaches last from above."""
+def test_low_bits_are_uniform(drawn):
+    """The last 8 of 24 bits are tested."""
     low = (drawn.ravel() * 2**24).astype(int) % 256
     assert stats.chisquare(np.bincount(low, minlength=256)).pvalue > 1e-4
 
@@ -55,7 +57,8 @@ def test_low_bits_are_as_good(drawn):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("lag", [1, 2, 3, 7])
 def test_neighbouring_pixels_samples_and_dimensions_are_independent(drawn, axis, lag):
-    """Correlation within 4 sigma of 0, and pairs even over a 16 x 16 grid: no planes or stripes."""
+    """Correlations are within 4 sigma of 0, and pairs are uniform over a 16 x 16 grid, without
+    planes or stripes."""
     a = np.take(drawn, range(drawn.shape[axis] - lag), axis).ravel()
     b = np.take(drawn, range(lag, drawn.shape[axis]), axis).ravel()
     assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(a.size)
@@ -73,7 +76,8 @@ def test_far_apart_indices_and_other_seeds_share_nothing(drawn):
 
 
 def test_mean_of_a_pixel_falls_as_for_independent_samples(drawn):
-    """The variance of means over samples is 1 / (12 n): what error bars of a picture rely on."""
+    """The variance of means over n samples is 1 / (12 n), on which the stated errors of pictures
+    are based."""
     means = drawn.mean(axis=1)
     expected = 1 / 12 / drawn.shape[1]
     assert abs(means.var() / expected - 1) < 4 * np.sqrt(2 / means.size)
@@ -88,7 +92,7 @@ def test_double_precision_has_finer_steps_of_the_same_numbers(drawn):
 
 
 def test_known_value():
-    """pcg4d of (1, 2, 3, 4) without a seed, from Python's integers."""
+    """pcg4d of (1, 2, 3, 4) without a seed, computed with Python's integers."""
     mask, v = 2**32 - 1, [1, 2, 3, 4]
     v = [(x * 1664525 + 1013904223) & mask for x in v]
     for turn in range(2):
@@ -103,7 +107,7 @@ def test_known_value():
 
 
 def places(pixels, samples, dimensions, dtype=jnp.float64):
-    """(pixels, samples, dimensions) of a lattice a pixel."""
+    """Return the lattice points, (pixels, samples, dimensions), with one lattice for each pixel."""
     place = lambda p, s: lattice_point(Stream(p, s, SEED), dimensions, dtype)  # noqa: E731
     over = jax.jit(jax.vmap(jax.vmap(place, (None, 0)), (0, None)))
     return np.asarray(over(*(jnp.arange(n, dtype=jnp.uint32) for n in (pixels, samples))))
@@ -111,7 +115,7 @@ def places(pixels, samples, dimensions, dtype=jnp.float64):
 
 @pytest.mark.parametrize(("dimensions", "root"), [(2, 1.32471795724), (4, 1.16730397826)])
 def test_samples_of_a_pixel_are_a_kronecker_sequence_with_a_shift_of_its_own(dimensions, root):
-    """Steps of the powers of the roots of x^3 = x + 1 and x^5 = x + 1, which Roberts gives."""
+    """The steps are powers of the roots of x^3 = x + 1 and x^5 = x + 1, as given by Roberts."""
     made = places(512, 64, dimensions)
     steps = (made[:, 1:] - made[:, :-1]) % 1
     expected = np.broadcast_to(root ** -np.arange(1.0, dimensions + 1), steps.shape)
@@ -122,7 +126,7 @@ def test_samples_of_a_pixel_are_a_kronecker_sequence_with_a_shift_of_its_own(dim
 
 
 def test_a_lattice_covers_a_pixel_more_evenly_than_independent_numbers():
-    """The part of a pixel left of and above a corner, by 64 samples."""
+    """64 samples estimate the part of a pixel left of and above a corner."""
     made, corner = places(512, 64, 2), np.array([0.4, 0.7])
     covered = (made < corner).all(axis=-1).mean(axis=1)
     p = corner.prod()

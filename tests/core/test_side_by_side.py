@@ -1,4 +1,4 @@
-"""Work on all cores, and sums over blocks of samples."""
+"""Tests work on all cores, and sums over blocks of samples."""
 
 import contextvars
 import threading

@@ -1,6 +1,5 @@
-"""Spectra against colour-science, published tables, and quadrature with many digits; the tables of
-`colour_data` against the library of their origin.
-"""
+"""Tests spectra against colour-science, published tables and quadrature with many digits, and the
+tables of `colour_data` against the library that they come from."""
 
 import colour
 import jax
@@ -31,7 +30,8 @@ def test_grids():
 
 @pytest.mark.slow
 def test_patches_to_xyz_as_colour_science():
-    """All 24 patches under D65: CIE's summation, as `sd_to_XYZ_integration` does it."""
+    """All 24 patches under D65 equal colour-science's `sd_to_XYZ_integration`, which uses the CIE's
+    summation."""
     ours = spectra.reflectance_to_xyz(
         colour_data.chart_reflectances(GRID),
         GRID,
@@ -49,7 +49,7 @@ def test_patches_to_xyz_as_colour_science():
 
 
 def test_emission_to_xyz_as_colour_science():
-    """Absolute values of a lamp: K_m = 683 lm / W."""
+    """Absolute values of a lamp, with K_m = 683 lm / W."""
     radiance = colour_data.illuminant("A", GRID)
     ours = spectra.spectrum_to_xyz(radiance, GRID, colour_data.observer(GRID))
     cmfs = colour.MSDS_CMFS[colour_data.OBSERVER].copy().align(SHAPE)
@@ -59,7 +59,7 @@ def test_emission_to_xyz_as_colour_science():
 
 
 def test_camera_as_a_loop_of_quadrature():
-    """Per band and channel, by hand, and with colour-science's own tables."""
+    """The reference sums each band and channel in a loop, with colour-science's tables."""
     lamp = colour.SDS_ILLUMINANTS["D65"]
     camera = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"]
     nm = np.arange(400, 705, 5.0)
@@ -82,18 +82,18 @@ def test_camera_as_a_loop_of_quadrature():
 
 
 def test_white_point_of_d65():
-    """The perfect white under D65 is at x = 0.31272, y = 0.32903 (CIE 15:2018, table 3)."""
+    """The perfect diffuser under D65 has x = 0.31272 and y = 0.32903 (CIE 15:2018, table 3)."""
     white = spectra.reflectance_to_xyz(
         jnp.ones_like(GRID), GRID, colour_data.observer(GRID), colour_data.illuminant("D65", GRID)
     )
     np.testing.assert_allclose(white[:2] / white.sum(), [0.31272, 0.32903], atol=6e-6)
     np.testing.assert_allclose(white[1], 1, rtol=1e-14)
-    # the published chromaticity has four decimals: 5e-5 / 0.329, in Z of 1.09
+    # the published chromaticity has four decimals, which is 5e-5 / 0.329 for a Z of 1.09
     np.testing.assert_allclose(white, colour_data.white_point("D65"), atol=5e-4)
 
 
 def test_three_bands_are_a_spectrum():
-    """RGB through the same functions: three bands of unit width."""
+    """The same functions work for RGB, as three bands of unit width."""
     grid = jnp.asarray([1.0, 2.0, 3.0])
     matrix = jnp.asarray(RNG.uniform(size=(3, 3)))
     rgb = jnp.asarray(RNG.uniform(size=(4, 5, 3)))
@@ -107,7 +107,7 @@ def test_widths_and_integral():
     grid = jnp.asarray([1.0, 2.0, 4.0, 5.0])
     np.testing.assert_array_equal(spectra.band_widths(grid), [1, 1.5, 1.5, 1])
     np.testing.assert_allclose(spectra.integrate_spectrum(jnp.ones(4), grid), 5.0)
-    # a smooth hump that is zero at both ends: the sum converges to the integral
+    # for a smooth curve that is zero at both ends the sum converges to the integral
     fine = jnp.linspace(0.0, 1.0, 401)
     hump = jnp.sin(jnp.pi * fine) ** 2
     np.testing.assert_allclose(spectra.integrate_spectrum(hump, fine), 0.5, rtol=1e-12)
@@ -174,7 +174,7 @@ def test_planck_in_many_digits(dtype, temperature):
     for wavelength, value in zip(np.asarray(grid, np.float64), ours, strict=True):
         x = h * c / (mp.mpf(wavelength) * k * mp.mpf(temperature))
         truth = 2 * h * c**2 / mp.mpf(wavelength) ** 5 / mp.expm1(x)
-        if truth > 1e-30:  # the exponential magnifies the rounding of its argument
+        if truth > 1e-30:  # the exponential magnifies the rounding error of its argument
             tolerance = float(8 * (1 + x) * float(jnp.finfo(dtype).eps))
             assert abs(float(value) / float(truth) - 1) < tolerance
         else:
@@ -183,7 +183,7 @@ def test_planck_in_many_digits(dtype, temperature):
 
 @pytest.mark.slow
 def test_planck_as_colour_science():
-    """With the constants of the ITS-90, as there."""
+    """Both use the constants of the ITS-90."""
     ours = spectra.blackbody(GRID, jnp.asarray(5000.0))
     theirs = colour.colorimetry.planck_law(
         np.asarray(GRID), 5000, c1=3.741771852e-16, c2=1.438776877e-2
@@ -211,7 +211,7 @@ def test_daylight_as_colour_science(temperature):
 
 
 def test_daylight_is_the_tabulated_d65():
-    """The CIE's table was made with M_1 and M_2 rounded to three decimals, and its own 6504 K."""
+    """The CIE's table was computed with M_1 and M_2 rounded to three decimals, at 6504 K."""
     ours = spectra.daylight(colour_data.daylight_basis(GRID), jnp.asarray(6500 * 1.4388 / 1.4380))
     np.testing.assert_allclose(ours, colour_data.illuminant("D65", GRID), rtol=1e-3)
     limit = spectra.daylight(colour_data.daylight_basis(GRID), jnp.asarray(4e3))
@@ -235,10 +235,11 @@ def test_tables_end_or_continue():
 
 
 def test_daylight_goes_on_beyond_its_table():
-    """CIE D65 at 780, 810 and 830 nm: 63.3828, 51.9565 and 60.3125 (ISO 11664-2, 300 to 830 nm)."""
+    """CIE D65 at 780, 810 and 830 nm is 63.3828, 51.9565 and 60.3125 (ISO 11664-2, 300 to 830
+    nm)."""
     d65 = colour_data.illuminant("D65", colour_data.nanometres([780.0, 810.0, 830.0]))
     np.testing.assert_allclose(d65, [63.3828, 51.9565, 60.3125], rtol=2e-4)
-    whole = colour.SDS_ILLUMINANTS["D60"]  # the one table that goes to 830 nm
+    whole = colour.SDS_ILLUMINANTS["D60"]  # the only table that extends to 830 nm
     ours = spectra.daylight(
         colour_data.daylight_basis(colour_data.nanometres(whole.wavelengths)),
         jnp.asarray(6000 * 1.4388 / 1.4380),
@@ -247,7 +248,7 @@ def test_daylight_goes_on_beyond_its_table():
 
 
 def test_illuminants_beyond_their_tables():
-    """A by Planck's law of 2848 K (CIE 15:2018, c_2 = 1.435e-2 m K)."""
+    """Illuminant A is Planck's law at 2848 K (CIE 15:2018, c_2 = 1.435e-2 m K)."""
     wanted = np.array([250.0, 300.0, 560.0, 780.0, 781.0, 1000.0, 1100.0])
     planck = 1 / (wanted**5 * np.expm1(1.435e7 / 2848 / wanted))
     found = colour_data.illuminant("A", colour_data.nanometres(wanted))

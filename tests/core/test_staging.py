@@ -1,4 +1,4 @@
-"""What is only stored or ordered for speed: no value and no derivative may depend on it."""
+"""Tests that how values are stored and ordered changes no value and no derivative."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ X, Y = jnp.linspace(0.1, 1.3, 6), jnp.linspace(2.0, -1.0, 6)
 
 
 def plain(x, y):
-    """Four values of both numbers, whole ones and flags among them."""
+    """Return four values that depend on both numbers, including integers and flags."""
     return {
         "product": x * y,
         "above": x > y,
@@ -25,7 +25,8 @@ def staged(x, y):
 
 
 def total(function):
-    """One number that uses three of the four, so that one cotangent is zero by structure."""
+    """Return a scalar that uses three of the four values, so that one cotangent is zero by
+    structure."""
 
     def sums(x, y):
         values = function(x, y)
@@ -41,7 +42,7 @@ def assert_same(got, expected):
         assert one.shape == other.shape
         if one.dtype == jax.dtypes.float0:
             continue
-        # compiled code may round a product and a sum at once, and nothing else
+        # compiled code may fuse a multiplication and an addition, and do nothing else
         rounding = 4 * float(jnp.finfo(one.dtype).eps) if one.dtype.kind == "f" else 0
         np.testing.assert_allclose(one, other, rtol=rounding, atol=rounding)
 
@@ -80,7 +81,7 @@ def test_together_keeps_two_precisions_apart():
 
 
 def an_operand_alone(join):
-    """The second value has no batch axis where only the first has."""
+    """Return a function whose second value has no batch axis when only the first has one."""
     return lambda x: join((x * x, jnp.full((), 3.0)))
 
 
@@ -98,7 +99,7 @@ def test_together_keeps_trees_of_none_and_of_one(tree):
 
 
 def first_above(levels, x, *, offset):
-    """The first of the levels above x + offset, and whether there is one."""
+    """Return the first of the levels above x + offset, and whether there is one."""
     above = levels > x + offset
     return {"place": jnp.argmax(above), "any": above.any()}
 
@@ -126,7 +127,7 @@ def test_a_search_batched_along_any_axes_finds_what_a_loop_finds():
 
 
 @pytest.mark.slow
-def test_gradients_pass_a_search_by():
+def test_a_search_passes_no_gradient():
     def loss(x, offset):
         return LEVELS[found(LEVELS, x, offset)["place"]] * x
 

@@ -1,5 +1,5 @@
-"""No condition matters that rounding leaves undecided: whichever side each of its uses takes, the
-value and the gradient are those of inputs a few units in the last place away."""
+"""Tests conditions that rounding leaves undecided. Whichever branch each of their uses takes, the
+value and the gradient are those of inputs a few ULP away."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,8 @@ def _distribution(x, z):
 
 
 def _edge_on(x, z):
-    """A triangle whose plane the ray nearly lies in, 0.1 by 0.2 of a length from its origin."""
+    """Intersect a ray with a triangle whose plane nearly contains the ray, 0.1 by 0.2 of a length
+    from its origin."""
     ray = jv.Ray(jv.Vec(*(jnp.zeros_like(x),) * 3), jv.Vec(*jnp.eye(3, dtype=x.dtype)[2]))
     corners = ([x, -0.1, 1.0], [x, 0.1, 1.0], [x + z, 0.0, 1.5])
     corners = [jv.Vec(*(jnp.asarray(c, x.dtype) for c in corner)) for corner in corners]
@@ -47,7 +48,7 @@ def _censored(low, high):
 
 
 def _just_met(dtype):
-    """The least slant at which a ray meets that triangle."""
+    """Return the smallest slant at which a ray hits that triangle."""
     low, high = 0.0, 1e-3
     for _ in range(100):
         middle = jnp.asarray((low + high) / 2, dtype)
@@ -59,8 +60,9 @@ def _just_met(dtype):
     return 0.0, high
 
 
-CRITICAL = float(np.sqrt(1 - 1 / 1.5**2))  # of glass, from within
-# (function of one or two numbers, numbers that decide one of its conditions to the last digit)
+CRITICAL = float(np.sqrt(1 - 1 / 1.5**2))  # critical angle of glass, from inside
+# (function of one or two numbers, numbers at which one of its conditions is decided by the last
+# digit)
 CASES = {
     "safe_sqrt": (lambda x, y: _numerics.safe_sqrt(x * x - y * y), (0.6, 0.6)),
     "power": (lambda x, y: _numerics.power(x - y, jnp.asarray(0.5, x.dtype)), (0.6, 0.6)),
@@ -114,10 +116,10 @@ def test_an_undecided_condition_does_not_matter(name, dtype):
         numbers = _just_met(dtype) if numbers is None else numbers
         numbers = [jnp.asarray(x, dtype) for x in numbers]
         value = disagreements(function, *numbers)
-        # in reverse mode a branch of `where` adds to the other: both, or neither, may count
+        # in reverse mode the branches of `where` are added, so both or neither may count
         places = tuple(range(len(numbers)))
         function = jax.jacfwd(lambda *x, of=function: jnp.sum(of(*x)), argnums=places)
-        taken = name != "triangle_distance"  # nobody takes its slopes
+        taken = name != "triangle_distance"  # its gradient is not used
         slope = disagreements(function, *numbers, within=0.02) if taken else (0, [])
     (flags, wrong), (of_slope, wrong_slopes) = value, slope
     assert flags + of_slope > 0 or (name, dtype) in DECIDED, "the numbers decide no condition"

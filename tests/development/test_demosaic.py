@@ -1,4 +1,5 @@
-"""Demosaicing against colour-demosaicing, naive loops, and pictures that must come back exactly."""
+"""Tests demosaicing against colour-demosaicing, naive loops, and pictures that must be recovered
+exactly."""
 
 from functools import partial
 
@@ -19,7 +20,7 @@ from jaxvision.sensor.colour_filters import BAYER_PHASES, bayer, mosaic
 peers = pytest.importorskip("colour_demosaicing")
 
 RNG = np.random.default_rng(8)
-# whole codes: sums are exact, so that Menon's decisions do not hang on a rounding
+# integers, whose sums are exact, so that Menon's decisions do not depend on rounding
 CODES = RNG.integers(0, 1024, size=(15, 18)).astype(float)
 XTRANS = tuple(
     tuple("RGB".index(letter) for letter in row)
@@ -30,13 +31,14 @@ INSIDE = np.s_[1:-1, 1:-1]
 
 @pytest.mark.parametrize("phase", BAYER_PHASES)
 def test_bilinear_is_colour_demosaicings_inside(phase):
-    """At the border it divides by the weights of missing pixels, and darkens."""
+    """At the border colour-demosaicing darkens, because it divides by the weights of missing
+    pixels."""
     peer = peers.demosaicing_CFA_Bayer_bilinear(CODES, phase)
     ours = demosaic_bilinear(CODES, bayer(phase))
     np.testing.assert_array_equal(np.asarray(ours)[INSIDE], peer[INSIDE])
 
 
-def test_a_band_axis_of_one_is_that_of_a_sensor():
+def test_a_band_axis_of_length_one_as_from_a_sensor():
     np.testing.assert_array_equal(demosaic(CODES[..., None], "RGGB"), demosaic(CODES, "RGGB"))
 
 
@@ -68,7 +70,8 @@ def test_menon_is_colour_demosaicings(phase, refine):
     ],
 )
 def test_borders_are_those_of_numpy(border, how):
-    """A whole tile more on each side, demosaiced by the peer, and cut off again."""
+    """The reference pads the mosaic by a tile on each side, demosaics it by colour-demosaicing, and
+    crops it."""
     peer = peers.demosaicing_CFA_Bayer_Malvar2004(np.pad(CODES, 2, **how), "GRBG")
     ours = demosaic(CODES, bayer("GRBG"), border=border)
     np.testing.assert_allclose(ours, peer[2:-2, 2:-2], atol=1e-9)
@@ -76,7 +79,7 @@ def test_borders_are_those_of_numpy(border, how):
 
 def natural_images():
     data = pytest.importorskip("skimage.data")
-    # all three lie in the wheel
+    # all three are in the installed package
     return {
         "astronaut": data.astronaut()[:256, 128:384],
         "chelsea": data.chelsea()[20:276, 100:356],
@@ -92,9 +95,9 @@ def psnr(got, truth):
 
 @pytest.mark.slow
 def test_psnr_on_natural_images():
-    """In dB: what the peer's have, and each method better than the one before by as much as the
-    papers say, a few dB (Malvar 2004: 5.5 over bilinear on the Kodak set; Menon 2007: 2 to 4 over
-    linear filters)."""
+    """The PSNR equals colour-demosaicing's, and each method gains a few dB over the one before, as
+    published (Malvar 2004: 5.5 dB over bilinear on the Kodak set; Menon 2007: 2 to 4 dB over linear
+    filters)."""
     algorithms = {
         "bilinear": peers.demosaicing_CFA_Bayer_bilinear,
         "malvar": peers.demosaicing_CFA_Bayer_Malvar2004,
@@ -112,7 +115,7 @@ def test_psnr_on_natural_images():
 
 
 @pytest.mark.parametrize("method", ["bilinear", "malvar", "menon", "normalised"])
-def test_a_flat_colour_comes_back(method):
+def test_a_uniform_colour_is_recovered(method):
     colour = np.array([0.7, 0.2, 0.4])
     raw = mosaic(jnp.broadcast_to(jnp.asarray(colour), (7, 9, 3)), bayer("GBRG"))
     picture = demosaic(raw, bayer("GBRG"), method=method)
@@ -120,7 +123,7 @@ def test_a_flat_colour_comes_back(method):
 
 
 @pytest.mark.parametrize("method", ["bilinear", "malvar", "menon"])
-def test_a_grey_ramp_comes_back_inside(method):
+def test_a_grey_ramp_is_recovered_inside(method):
     y, x = np.mgrid[:20, :21]
     ramp = 0.1 + 0.03 * x - 0.02 * y
     raw = mosaic(jnp.asarray(np.repeat(ramp[..., None], 3, -1)), bayer("RGGB"))
@@ -129,14 +132,14 @@ def test_a_grey_ramp_comes_back_inside(method):
     np.testing.assert_allclose(picture[inner], np.repeat(ramp[inner][..., None], 3, -1), rtol=1e-13)
 
 
-def test_what_was_seen_stays():
+def test_measured_values_are_unchanged():
     for method in ("bilinear", "malvar", "normalised"):
         picture = demosaic(CODES, bayer("BGGR"), method=method)
         np.testing.assert_array_equal(mosaic(picture, bayer("BGGR")), CODES)
 
 
 def by_loops(raw, pattern):
-    """Means weighted by a tent as wide as the tile, of the pixels that saw each band."""
+    """Return means of the pixels that measure each band, weighted by a tent as wide as the tile."""
     rows, columns = np.shape(pattern)
     height, width = raw.shape
     seen = np.tile(pattern, (height // rows + 1, width // columns + 1))[:height, :width]
@@ -201,7 +204,7 @@ def test_codes_are_taken_as_numbers():
 
 @pytest.mark.parametrize("method", ["bilinear", "malvar", "menon", "normalised"])
 def test_sums_of_codes_in_half_precision_do_not_overflow(method):
-    raw = np.full((6, 8), 30000, np.float16)  # four of them are beyond 65504
+    raw = np.full((6, 8), 30000, np.float16)  # the sum of four exceeds 65504
     found = demosaic(raw, "RGGB", method=method)
     assert found.dtype == np.float16
     np.testing.assert_array_equal(found, np.float16(30000))
@@ -217,8 +220,9 @@ def test_nan_stays_within_its_window():
 
 
 @pytest.mark.parametrize("at", [(7, 9), (8, 8), (0, 0), (8, 11), (5, 1)])
-def test_nan_is_in_all_that_a_pixel_decides(at):
-    """Menon's directions among it: whatever some value of the pixel changes has no value."""
+def test_nan_is_in_all_pixels_that_depend_on_it(at):
+    """All output pixels that depend on the value become NaN, including those that depend on Menon's
+    choice of direction."""
     holed, known = CODES.copy(), [demosaic_menon(CODES, bayer("RGGB"))]
     for value in (0.0, 30.0, 300.0, 4000.0):
         holed[at] = value

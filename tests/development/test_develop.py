@@ -1,4 +1,5 @@
-"""Raw to picture by hand, colours against colour-science, and the codes of a file."""
+"""Tests development from raw to picture step by step, colours against colour-science, and the codes
+of files."""
 
 from functools import partial
 
@@ -42,14 +43,14 @@ MATRIX = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])
         ({"white_level": 1064}, [54 / 1064, 64 / 1064, 564 / 1064, 1]),
         ({"black_level": 64, "white_level": 1064}, [-0.01, 0, 0.5, 1]),
         ({"black_level": 64, "white_level": 1064, "tone": s.Gamma(2.0)}, [0, 0, np.sqrt(0.5), 1]),
-        # 0.735357: sRGB of 0.5, as every converter gives it (code 188 of 255)
+        # 0.735357 is the sRGB code value of 0.5 (code 188 of 255)
         ({"black_level": 64, "white_level": 1064, "tone": s.SRGB()}, [-0.1292, 0, 0.735357, 1]),
-        # Reinhard's equation 4 at 0.5 with white 2: 0.5 (1 + 0.125) / 1.5
+        # Reinhard's equation 4 at 0.5 with white at 2: 0.5 (1 + 0.125) / 1.5
         (
             {"black_level": 64, "white_level": 1064, "tone_map": s.Reinhard(2.0)},
             [-0.01, 0, 0.375, 0.625],
         ),
-        # Narkowicz's fraction at 0.5: 0.6425 / 1.0425, and at 1: 2.54 / 3.16
+        # Narkowicz's fraction at 0.5 is 0.6425 / 1.0425, and at 1 it is 2.54 / 3.16
         (
             {"black_level": 64, "white_level": 1064, "tone_map": s.Filmic()},
             [0, 0, 0.6163069544, 0.8037974684],
@@ -65,7 +66,7 @@ def test_a_curve_through_points_is_scipys_pchip():
     x = RNG.uniform(-0.2, 1.5, size=500)
     for inputs, outputs in (
         ([0, 0.1, 0.4, 0.7, 1.0], [0, 0.02, 0.5, 0.9, 1.0]),
-        ([0, 0.25, 0.5, 0.75, 1.2], [0, 0.6, 0.55, 0.55, 0.9]),  # turns about, and a flat piece
+        ([0, 0.25, 0.5, 0.75, 1.2], [0, 0.6, 0.55, 0.55, 0.9]),  # not monotone, partly flat
         ([0, 0.1, 0.2], [0.0, 0.5, 0.1]),
         ([0.1, 0.9], [0.2, 0.7]),
     ):
@@ -107,7 +108,7 @@ def test_grey_worlds_are_means_of_powers(norm):
     for image, gains in zip(batch, grey_world_gains(batch, norm=norm), strict=True):
         mean = np.mean(np.asarray(image) ** norm, axis=(0, 1)) ** (1 / norm)
         np.testing.assert_allclose(gains, mean.max() / mean, rtol=1e-12)
-    if norm == 200:  # nearly the brightest value of each band
+    if norm == 200:  # nearly the maximum of each band
         largest = np.asarray(IMAGE).max((0, 1))
         np.testing.assert_allclose(gains, (largest.max() / largest) ** 2, rtol=0.05)
 
@@ -128,8 +129,8 @@ def test_a_patch_must_lie_in_the_picture_and_hold_numbers():
     assert np.isnan(neutral_gains(grey.at[..., 0].set(jnp.nan))).all()
 
 
-def test_saturated_pixels_do_not_vote():
-    burnt = IMAGE.at[:3, :5, 1].set(1.0)  # one band is enough
+def test_saturated_pixels_are_not_used_for_white_balance():
+    burnt = IMAGE.at[:3, :5, 1].set(1.0)  # saturated in one band only
     kept = np.ones((12, 14), bool)
     kept[:3, :5] = False
     mean = np.asarray(IMAGE)[kept].mean(0)
@@ -138,7 +139,7 @@ def test_saturated_pixels_do_not_vote():
 
 
 def test_burnt_out_highlights_are_white_not_magenta():
-    scene = np.full((4, 6, 3), 0.4) * [1 / 1.9, 1, 1 / 1.4]  # grey, as this camera sees it
+    scene = np.full((4, 6, 3), 0.4) * [1 / 1.9, 1, 1 / 1.4]  # grey in this camera's raw values
     scene[:, 3:] *= 20
     raw = jnp.asarray(np.minimum(scene, 1))
     gains = s.WhiteBalance(GAINS)
@@ -159,7 +160,7 @@ def test_white_balance_refuses_other_bands():
 
 @pytest.fixture(scope="module")
 def chart():
-    """24 patches, their light, the observer, and a measured camera."""
+    """Return the 24 patches, their illuminant, the observer, and a measured camera."""
     pytest.importorskip("colour")
     from jaxvision.colour_spaces import colour_data
 
@@ -175,7 +176,7 @@ def chart():
 
 
 def raw_of(chart, sensitivities):
-    """A camera's raw data of the patches, white at 1000 DN above a black of 64."""
+    """Return a camera's raw data of the patches, with white at 1000 DN above a black of 64."""
     light = np.asarray(chart["reflectances"]) * np.asarray(chart["illuminant"])
     responses = light @ sensitivities
     white = (np.asarray(chart["illuminant"]) @ sensitivities).max()
@@ -198,7 +199,7 @@ def developed(chart, sensitivities):
 
 
 def truth_of(chart):
-    """The 24 patches by colour-science: (encoded sRGB, Lab)."""
+    """Return the 24 patches by colour-science, as (encoded sRGB, Lab)."""
     import colour
 
     shape = colour.SpectralShape(380, 780, 5)
@@ -217,7 +218,7 @@ def truth_of(chart):
 
 
 def srgb():
-    """The space with matrices in full precision, not to the four digits of the standard."""
+    """Return the space with matrices in full precision instead of the standard's four digits."""
     import colour
 
     space = colour.RGB_COLOURSPACES["sRGB"].copy()
@@ -226,7 +227,7 @@ def srgb():
 
 
 def test_colours_of_24_patches_within_1e_4_of_colour_science(chart):
-    """A camera that sees as the observer does, through every stage."""
+    """The camera has the observer's sensitivities, and its raw data pass through every stage."""
     import colour
 
     linear, _ = truth_of(chart)
@@ -236,8 +237,8 @@ def test_colours_of_24_patches_within_1e_4_of_colour_science(chart):
 
 
 def test_delta_e_of_the_matrix_fitted_to_a_measured_camera(chart):
-    """A real camera misses the observer; its matrix brings the chart within what such matrices
-    reach (mean CIEDE2000 of 1 to 2 for DSLRs), far below what the camera's own RGB shows."""
+    """A real camera differs from the observer. Its matrix brings the chart to a mean CIEDE2000 of 1
+    to 2, as is usual for DSLRs, far below the error of the camera's own RGB."""
     import colour
 
     _, adapted = truth_of(chart)
@@ -256,7 +257,7 @@ def test_delta_e_of_the_matrix_fitted_to_a_measured_camera(chart):
     print(f"(without the matrix {unmatched.mean():.2f})")
     assert fitted.mean() < 1.5
     assert unmatched.mean() > 4 * fitted.mean()
-    np.testing.assert_allclose(found.matrix.sum(1), 1, atol=1e-3)  # white stays white
+    np.testing.assert_allclose(found.matrix.sum(1), 1, atol=1e-3)  # white is preserved
     np.testing.assert_allclose(picture[3, 0], picture[3, 0].mean(), atol=0.01)  # the white patch
 
 
@@ -270,8 +271,8 @@ def test_least_squares_are_numpys_and_colour_sciences():
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_a_kept_white_is_kept_and_nothing_that_keeps_it_fits_better(weighted):
-    """Against the equations of Lagrange, solved as one linear system."""
+def test_the_constrained_fit_preserves_white_and_is_optimal(weighted):
+    """The reference solves the equations of Lagrange as one linear system."""
     camera, wanted = RNG.uniform(0.1, 0.9, size=(2, 24, 3))
     seen, sought = np.array([0.8, 1.0, 0.7]), np.array([1.0, 1.0, 1.0])
     weights = RNG.uniform(0, 2, size=24) if weighted else np.ones(24)
@@ -307,7 +308,7 @@ ONES = np.ones(3)
         (np.r_[GREYS, [[1, 0, 0]]], {"white": (ONES, ONES)}, "must span 2 dimensions beside white"),
     ],
 )
-def test_colours_that_leave_the_matrix_open_are_refused(camera, options, message):
+def test_colours_that_do_not_determine_the_matrix_are_refused(camera, options, message):
     with pytest.raises(ValueError, match=message):
         fit_colour_matrix(camera, camera, **options)
 
@@ -317,7 +318,8 @@ def test_colours_that_leave_the_matrix_open_are_refused(camera, options, message
 
 @pytest.mark.slow
 def test_the_stages_come_in_the_order_that_is_stated():
-    """Each by its own function, one after the other; no two of them commute."""
+    """The reference applies the function of each stage in the stated order. No two of them
+    commute."""
     raw = 64 + 1000 * mosaic(IMAGE, bayer("GRBG"))
     development = s.Development(
         black_level=64,
@@ -358,7 +360,7 @@ def test_other_denoising():
     np.testing.assert_allclose(develop(IMAGE, development), direct)
 
 
-def test_what_is_absent_leaves_nothing_behind():
+def test_an_absent_stage_changes_nothing():
     def operations(**stages):
         jaxpr = jax.make_jaxpr(partial(develop, development=s.Development(**stages)))(IMAGE)
         return [equation.primitive.name for equation in jaxpr.eqns]
@@ -408,8 +410,8 @@ def test_a_record_names_the_methods_there_are():
     assert tuple(METHODS) == s.developments.DEMOSAICINGS
 
 
-def test_codes_that_are_no_relative_numbers_are_refused():
-    """Clipped at 1, they would all be white."""
+def test_codes_are_refused_where_relative_numbers_are_expected():
+    """If they were clipped at 1, all of them would be white."""
     with pytest.raises(ValueError, match="whole numbers up to 240: divide the codes"):
         to_integers(np.arange(0.0, 255, 15))
     codes = np.arange(0.0, 256, 15).reshape(6, 3)
@@ -462,7 +464,7 @@ def test_other_depths_are_refused():
         (lambda: s.ToneCurve([0.0, 1.0], [0.0, np.nan]), r"ToneCurve\.outputs .* got nan"),
     ],
 )
-def test_records_refuse_what_cannot_be_meant(record, message):
+def test_records_refuse_invalid_values(record, message):
     with pytest.raises(ValueError, match=message):
         record()
 

@@ -1,4 +1,4 @@
-"""The loss of a JPEG file, level for level against libjpeg (through Pillow and OpenCV)."""
+"""Tests the loss of JPEG files, level by level, against libjpeg (through Pillow and OpenCV)."""
 
 import io
 from functools import partial
@@ -28,7 +28,7 @@ def relative(codes, dtype=jnp.float32):
 
 
 def levels(picture):
-    """The codes of a result, which must be whole already."""
+    """Return the codes of a result, which must be integers already."""
     codes = 255 * np.asarray(picture, np.float64)
     np.testing.assert_allclose(codes, np.round(codes), atol=2e-5)
     return np.round(codes).astype(int)
@@ -45,7 +45,7 @@ def test_half_precision_passes_through_float32(compressed, dtype):
 
 @pytest.fixture(scope="module")
 def compressed():
-    """`jpeg`, compiled once for each shape and subsampling."""
+    """Return `jpeg`, compiled once for each shape and subsampling."""
     return jax.jit(jpeg, static_argnames=("subsampling", "rounding"))
 
 
@@ -62,7 +62,7 @@ def test_tables_are_libjpegs_at_every_quality():
 
 
 PICTURES = {
-    # odd sizes: blocks that are not full, chroma of half a pixel
+    # odd sizes have incomplete blocks, and chroma of half a pixel
     "photograph": lambda: pytest.importorskip("skimage.data").astronaut()[90:193, 170:283],
     "noise": lambda: RNG.integers(0, 256, size=(41, 54, 3)).astype(np.uint8),
 }
@@ -71,7 +71,7 @@ PICTURES = {
 @pytest.mark.sweep
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
 @pytest.mark.parametrize("name", PICTURES)
-def test_not_one_level_from_libjpeg(name, subsampling, compressed):
+def test_no_level_differs_from_libjpeg(name, subsampling, compressed):
     codes = PICTURES[name]()
     for quality in (1, 10, 35, 50, 75, 85, 92, 95, 100):
         ours = compressed(relative(codes), jnp.float32(quality), subsampling=subsampling)
@@ -115,7 +115,7 @@ def test_opencv_reads_the_same(compressed):
 
 
 @pytest.mark.slow
-def test_what_bytes_cannot_hold_is_cut(compressed):
+def test_values_beyond_the_codes_are_clipped(compressed):
     wild = RNG.uniform(0, 1, size=(16, 16, 3)).astype(np.float32)
     wild[5, 6], wild[7, 8] = np.inf, -np.inf
     wild[9, 10] = 1.7
@@ -130,8 +130,9 @@ def test_what_bytes_cannot_hold_is_cut(compressed):
 @pytest.mark.sweep
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
 @pytest.mark.parametrize(("subsampling", "block"), [("4:4:4", 8), ("4:2:0", 16)])
-def test_nan_spreads_as_far_as_a_pixel_reaches(rounding, subsampling, block):
-    """Its block, and with chroma at half size the pixels beside, which share a sample of it."""
+def test_nan_spreads_over_all_dependent_pixels(rounding, subsampling, block):
+    """NaN spreads over the pixel's block and, with chroma at half size, to the neighbouring pixels
+    that share a chroma sample."""
     compressed = partial(jpeg, subsampling=subsampling, rounding=rounding)
     picture = RNG.uniform(0, 1, size=(48, 48, 3)).astype(np.float32)
     dark, bright, unknown = picture.copy(), picture.copy(), picture.copy()
@@ -147,8 +148,8 @@ def test_nan_spreads_as_far_as_a_pixel_reaches(rounding, subsampling, block):
 
 @pytest.mark.slow
 def test_gradients_pass_as_if_nothing_were_rounded(compressed):
-    """Without rounding and at full chroma there and back is the identity, to the thirteen bits of
-    the cosines; at half size each colour keeps its sum."""
+    """Without rounding and with full chroma, compression is the identity up to the 13 bits of the
+    cosines. With chroma at half size the sum of each colour is preserved."""
     picture = jnp.asarray(RNG.uniform(0.3, 0.7, size=(16, 24, 3)))
     tangent = jnp.asarray(RNG.normal(size=picture.shape))
 
@@ -162,8 +163,8 @@ def test_gradients_pass_as_if_nothing_were_rounded(compressed):
 
 @pytest.mark.parametrize(("quality", "code"), [(50.0, 135.3), (20.0, 91.8), (90.0, 200.4)])
 def test_soft_rounding_of_one_coefficient(quality, code, compressed):
-    """A flat grey has one coefficient, 8 (code - 128), and comes back with its soft rounding."""
-    step = {50.0: 16, 20.0: 40, 90.0: 3.2}[quality]  # 16 by the scale, not rounded
+    """A uniform grey has one coefficient, 8 (code - 128), and is decoded with its soft rounding."""
+    step = {50.0: 16, 20.0: 40, 90.0: 3.2}[quality]  # 16 times the scale, not rounded
     level = 8 * (code - 128) / step
     soft = np.round(level) + (level - np.round(level)) ** 3
     flat = jnp.full((8, 8, 1), code / 255)

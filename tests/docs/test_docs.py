@@ -1,5 +1,6 @@
-"""The site: its code runs and keeps its promises, its pictures are drawn by scripts that fit beside
-them, its commands exist, and its reference has an entry for every public name."""
+"""Tests of the site: its code runs and prints what the pages say, its pictures are drawn by scripts
+short enough to be shown with them, its commands exist, and its reference has an entry for every
+public name."""
 
 import ast
 import importlib
@@ -31,7 +32,7 @@ PAGES = sorted(
     for page in DOCS.rglob("*.md")
     if not str(page.relative_to(DOCS)).startswith(MADE)
 )
-APART = {"how-to/use_as_a_library.md"}  # each block of code stands by itself
+APART = {"how-to/use_as_a_library.md"}  # pages where each block of code is independent
 WITH_CODE = [page for page in PAGES if blocks((DOCS / page).read_text(), "python")]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
 TOOK = re.compile(r"took [\d.]+ s")  # which differs from machine to machine
@@ -40,7 +41,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def module(name):
-    """A module of `docs/`, which no package holds."""
+    """Import a module of `docs/`, which is in no package."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(DOCS)
         return importlib.import_module(name)
@@ -49,7 +50,8 @@ def module(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_CODE)
 def test_code_runs_and_keeps_its_promises(page, tmp_path, monkeypatch):
-    """Also: it prints what the page shows below it, and draws the pictures that the page shows."""
+    """The code also prints what the page shows below it, and draws the pictures that the page
+    shows."""
     text = (DOCS / page).read_text()
     python = blocks(text, "python")
     if any(shown_below(text)):
@@ -67,7 +69,7 @@ def test_code_runs_and_keeps_its_promises(page, tmp_path, monkeypatch):
 
 
 def assert_alike(drawn, kept):
-    """Two pictures, but for the edges of letters."""
+    """Check that two pictures are equal, except for the edges of letters."""
     ours, theirs = coarse(drawn), coarse(kept)
     assert ours.shape == theirs.shape
     apart = abs(ours - theirs)
@@ -98,7 +100,7 @@ def test_commands_exist():
 
 
 def test_every_key_of_a_file_has_a_meaning(tmp_path):
-    # in a process of its own, where no test has registered kinds
+    # in a new process, where no test has registered types of record
     make = "import pathlib, sys, file_keys; file_keys.key_pages(pathlib.Path(sys.argv[1]))"
     subprocess.run([sys.executable, "-c", make, str(tmp_path)], cwd=DOCS, check=True)
     row = re.compile(r"^\| `(\w+)` \| (.*) \| [^|]+ \|$", re.MULTILINE)
@@ -111,7 +113,7 @@ def test_every_key_of_a_file_has_a_meaning(tmp_path):
 
 
 def test_the_terms_link_to_each_textbook_figure():
-    """Each has at most 15 lines of code and a stored picture."""
+    """Each figure has at most 15 lines of code and a stored picture."""
     cells = json.loads((ROOT / "notebooks" / "textbook_figures.ipynb").read_text())["cells"]
     page = (DOCS / "notions.md").read_text()
     titles = [head[1] for c in cells if (head := re.match("## (.+)", "".join(c["source"])))]
@@ -127,7 +129,7 @@ def test_the_terms_link_to_each_textbook_figure():
 
 
 def shown(file):
-    """The Python that a reader copies from a notebook, a script or a page."""
+    """Return the Python that a reader copies from a notebook, a script or a page."""
     if file.suffix == ".ipynb":
         cells = json.loads(file.read_text())["cells"]
         return "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
@@ -141,7 +143,7 @@ def is_module(name):
 
 
 def internals(code):
-    """What code imports of the packages that no package offers, or that does not exist."""
+    """Yield the imports from the two packages that are private or do not exist."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             names = [(alias.name, None) for alias in node.names]
@@ -169,7 +171,7 @@ def internals(code):
     [*NOTEBOOKS, *SCRIPTS, *(DOCS / page for page in WITH_CODE), ROOT / "README.md"],
     ids=lambda file: file.name,
 )
-def test_what_readers_copy_imports_public_names_alone(file):
+def test_code_for_readers_imports_only_public_names(file):
     assert not list(internals(shown(file)))
 
 
@@ -198,7 +200,7 @@ def test_the_gallery_shows_every_script_under_one_topic():
 
 
 def coarse(picture):
-    """Means over 4 x 4 pixels, in which the edges of letters hardly count."""
+    """Return means over 4 x 4 pixels, where the edges of letters matter little."""
     pixels = plt.imread(picture)[..., :3]
     rows, columns = (size // 4 for size in pixels.shape[:2])
     return pixels[: 4 * rows, : 4 * columns].reshape(rows, 4, columns, 4, 3).mean((1, 3))
@@ -213,7 +215,8 @@ def test_pictures_are_drawn(script, tmp_path):
 
 
 def test_every_public_name_has_one_entry():
-    """What makes the pages, against the names that the tests of the public API discover."""
+    """The generator of the pages is compared with the names that the tests of the public API
+    discover."""
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
     pages = module("reference_pages")

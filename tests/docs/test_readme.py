@@ -1,9 +1,8 @@
-"""Every block of code and every command of the README and the page of commands, executed. What a
-block prints is compared with what the comment beside it promises.
+"""Runs every block of code and every command of the README and the page of commands. Printed
+results are compared with the comments beside the code.
 
-Two commands install the package first (the demo and the test command); CI runs them as written, and
-the tests below, which take minutes.
-"""
+Two commands install the package first (the demo and the test command). CI runs them as written, and
+also the slow tests below."""
 
 import re
 import shlex
@@ -24,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 COMMANDS_PAGE = (ROOT / "docs" / "how-to" / "commands.md").read_text()
 COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
-# Smaller numbers for what takes minutes as written, and files for those that a user has.
+# Smaller numbers for commands that take minutes as written, and files in place of the user's.
 INSTEAD = {
     "--samples 64": "--samples 1 --resolution 16,16",
     "IMAGE ... --mask FILE": "b0.png b1.png b2.png --bits 16 --mask mask.png --kind matte",
@@ -44,7 +43,7 @@ def test_every_block_of_python_runs_and_keeps_its_promises(tmp_path):
 
 
 def commands():
-    """The lines of `sh` blocks, and the commands of the table."""
+    """Return the lines of `sh` blocks and the commands of the table."""
     text = README + COMMANDS_PAGE
     lines = [line for block in blocks(text, "sh") for line in block.splitlines() if line.strip()]
     return lines + re.findall(r"^\| `([^`]+)` \|", COMMANDS_PAGE, flags=re.MULTILINE)
@@ -52,7 +51,8 @@ def commands():
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch, lab):
-    """A folder with the files that a user has: a photo, a rig a calibration, a measured BRDF."""
+    """Return a folder with the files of a user: a photo, a rig, a calibration and a measured
+    BRDF."""
     monkeypatch.chdir(tmp_path)
 
     def grey(h, d, p):

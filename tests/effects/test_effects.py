@@ -1,5 +1,6 @@
-"""What pruning leaves out stays within what it promises: random scenes, each effect alone, and the
-traps by hand. The pictures are drawn by an oracle that shares no code with the library."""
+"""Tests that pruning changes pictures by at most its certified bound: random scenes, each effect
+alone, and difficult cases built by hand. The pictures are rendered by an oracle that shares no code
+with the library."""
 
 import json
 import re
@@ -26,7 +27,7 @@ from jaxvision.effects.sums import sums_of
 ROUNDING = 1e-12
 TOLERANCES = 1e-3, 1e-2, 5e-2
 
-QUICK = (1, 2, 3, 6, 12, 14)  # scenes that the oracle draws in no time
+QUICK = (1, 2, 3, 6, 12, 14)  # scenes that the oracle renders quickly
 BLOCKS = [range(first, first + 10) for first in range(0, 200, 10)]
 MANY = [QUICK, *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in BLOCKS)]
 
@@ -43,7 +44,8 @@ def drawn(scene, view, expand=None):
 
 
 def promised_and_actual(seed):
-    """The total of a certificate and the largest error, both over the brightest pixel."""
+    """Return the total of a certificate and the largest error, both relative to the brightest
+    pixel."""
     scene, view = random_scene(seed)
     full = drawn(scene, view)
     level = full.max()
@@ -64,7 +66,7 @@ def test_random_scenes_keep_the_promise(seeds):
 
 
 @pytest.mark.slow
-def test_the_promise_is_within_four_times_of_what_happens():
+def test_the_promise_is_within_four_times_the_actual_error():
     found = [promised_and_actual(seed) for seed in range(100)]
     ratios = [p / a for p, a in filter(None, found) if a > ROUNDING]
     assert np.median(ratios) <= 4
@@ -72,7 +74,8 @@ def test_the_promise_is_within_four_times_of_what_happens():
 
 @cache
 def alone(seed):
-    """Each droppable row of a random scene: name, bound and what the picture changes by."""
+    """Return each droppable row of a random scene with its name, its bound and the change of the
+    picture."""
     scene, view = random_scene(seed)
     full, ends = drawn(scene, view), (Ends(scene, scene), Ends(view, view))
     rows, _, onward = scene_stage(*ends)
@@ -90,7 +93,8 @@ def alone(seed):
 
 
 def only(scene, draft, row):
-    """The scene without one effect; of one lamp's shadows: that lamp alone, all else dark."""
+    """Return the scene without one effect. For the shadows of a lamp, return only this lamp, and
+    all else dark."""
     after = row.drop(draft)
     lights = tuple(light for light in after.lights if light is not None)
     return replace(scene, surfaces=after.surfaces, lights=lights, ambient=after.ambient)
@@ -107,7 +111,7 @@ def test_each_effect_alone_keeps_its_bound(seeds):
 
 @pytest.mark.parametrize("seeds", MANY)
 def test_the_shadows_of_each_lamp_keep_their_bound(seeds):
-    """By the picture of one lamp alone, with and without occluders."""
+    """The change is between pictures of one lamp alone, with and without occluders."""
     for seed in seeds:
         scene, view = random_scene(seed)
         rows, _, _ = scene_stage(Ends(scene, scene), Ends(view, view))
@@ -119,18 +123,19 @@ def test_the_shadows_of_each_lamp_keep_their_bound(seeds):
 
 
 def test_half_of_a_bound_is_caught():
-    """The planted fault: of all bounds halved, the same comparison must fail."""
+    """With all bounds halved, the same comparison must fail."""
     broken = [
         row.effect.name for row, change, _ in alone(1) if change > 0.5 * row.effect.bound + ROUNDING
     ]
     assert broken
 
 
-# ---------------------------------------------------------------- traps, by hand
+# ---------------------------------------------------------------- difficult cases, built by hand
 
 
 def lamp(z, radiance, size=0.4):
-    """A rectangle over the floor that shines down, before the camera if z < 3."""
+    """Return a rectangular lamp over the floor that shines down. It is in front of the camera if z
+    < 3."""
     edge = size
     return jv.RectangleLight([-edge / 2, -edge / 2, z], [0, edge, 0], [edge, 0, 0], [radiance])
 
@@ -139,7 +144,7 @@ def bound_of(scene, name, view=VIEW, **options):
     return next(e for e in effects.inspect(scene, view, **options) if e.name == name)
 
 
-def test_1_a_lamp_that_hides_the_floor_is_not_free_to_go():
+def test_1_a_lamp_that_hides_the_floor_is_not_negligible():
     sun = jv.DirectionalLight([0, 0, 1], [1.0])
     up = jv.RectangleLight([-0.2, -0.2, 1], [0.4, 0, 0], [0, 0.4, 0], [0.0])
     scene = jv.Scene(FLOOR, [up, sun])
@@ -148,7 +153,7 @@ def test_1_a_lamp_that_hides_the_floor_is_not_free_to_go():
     assert np.abs(change).max() == pytest.approx(0.25)
 
 
-def test_2_and_3_a_dark_lamp_that_is_seen_is_seen_and_stays_a_rectangle():
+def test_2_and_3_a_dark_lamp_in_view_stays_a_rectangle():
     up = jv.RectangleLight([-0.2, -0.2, 1], [0.4, 0, 0], [0, 0.4, 0], [0.0])
     scene = jv.Scene(FLOOR, [up])
     assert "seen" in bound_of(scene, "lights[0]").why
@@ -173,8 +178,9 @@ def test_8_effects_keep_the_names_of_the_first_scene():
     assert [float(light.position[2]) for light in pruned.scene.lights] == [1.0, 2.0]
 
 
-def test_what_does_nothing_goes_first_and_then_what_changes_least():
-    """Lamps that cost the same: in the order of their bounds, until the next no longer fits."""
+def test_effects_are_dropped_in_the_order_of_their_bounds():
+    """Lamps of equal cost are dropped in the order of their bounds, until the next no longer
+    fits."""
     places = ((2.0, 1.0), (300.0, 1.0), (15.0, 1.0), (900.0, 1.0), (2.0, 0.0), (12.0, 1.0))
     lights = [jv.PointLight([0, 0, z], [power]) for z, power in places]
     gone = effects.prune(jv.Scene(FLOOR, lights), VIEW, "0.2%", level=1.0).certificate.dropped
@@ -186,9 +192,7 @@ def test_what_does_nothing_goes_first_and_then_what_changes_least():
 
 
 @pytest.mark.parametrize(("transmission", "left"), [((1.0, 1.0, 1.0), 2), ((0.0, 0.0, 1.0), 3)])
-def test_a_filter_takes_the_bands_that_go_unless_it_would_transmit_less_than_nothing(
-    transmission, left
-):
+def test_a_filter_replaces_dropped_bands_unless_its_transmission_is_negative(transmission, left):
     """The third band is .8 of the second less .72 of the first."""
     spectra = np.array([[0.1, 0.09, 0.0], [0.0, 0.05, 0.04]])
     halves = [
@@ -208,8 +212,8 @@ def test_a_filter_takes_the_bands_that_go_unless_it_would_transmit_less_than_not
     np.testing.assert_allclose(own @ found[0], spectra @ transmission, rtol=1e-12)
 
 
-def test_9_pruned_records_have_passed_their_own_checks():
-    """Fewer bands in all spectra alike: a scene of mixed bands would have been refused."""
+def test_9_pruned_records_are_valid():
+    """All spectra lose the same bands, because a scene of mixed bands would be refused."""
     ramp = np.linspace(1, 2, 31)
     surface = jv.Surface(FLOOR.shape, jv.Phong(0.1 * ramp, 0.05 * ramp, 5.0))
     scene = jv.Scene(surface, jv.PointLight([0, 0, 2], 0 * ramp + 1))
@@ -221,7 +225,7 @@ def test_9_pruned_records_have_passed_their_own_checks():
 
 
 def test_bands_that_no_lamp_shades_stay():
-    """What only shines costs a number a band and a pixel, and so does joining fewer bands."""
+    """Bands that are only emitted cost one number per pixel, as does joining fewer bands."""
     shining = jv.Surface(FLOOR.shape, jv.Lambert([0.2] * 3), [1.0] * 3)
     for lights, fewer in (([], False), ([jv.PointLight([0, 0, 2], [1.0] * 3)], True)):
         left = effects.prune(jv.Scene([shining], lights), VIEW, "0%", level=1.0)
@@ -237,7 +241,7 @@ def test_11_the_number_of_bands_stays():
 
 
 def test_13_bounds_are_of_the_integral():
-    """At .01 m the bound is pi L, which no rule's overshoot raises; a fine rule stays below it."""
+    """At .01 m the bound is pi L, which no quadrature rule exceeds."""
     close = lamp(0.01, 1.0)
     scene = jv.Scene(FLOOR, close)
     assert bound_of(scene, "lights[0]").bound == pytest.approx(0.25 * np.pi)
@@ -265,8 +269,8 @@ SUN = jv.PointLight([0, 1e11, 1.5e11], [1e22])
     ],
     ids=["a sun at its place", "far from the origin", "a floor of 10,000 km"],
 )
-def test_what_is_far_away_makes_nothing_near_touch(floor, place, lamp):
-    """The shadow of a ball of 40 cm, in scenes of which it is less than a millionth."""
+def test_distant_objects_hide_no_near_shadow(floor, place, lamp):
+    """The ball of 40 cm, whose shadow must be kept, is less than a millionth of the scene."""
     ball = jv.Sphere(place + np.array([0, 0, 0.3]), 0.2)
     scene = jv.Scene([jv.Surface(floor, GREY), jv.Surface(ball, GREY)], [lamp])
     view = replace(VIEW, position=place + np.array([0.3, 0, 3]))
@@ -275,7 +279,7 @@ def test_what_is_far_away_makes_nothing_near_touch(floor, place, lamp):
     assert not effects.prune(scene, view, "0%").certificate.dropped
 
 
-# ---------------------------------------------------------------- what every effect must have
+# ---------------------------------------------------------------- requirements for every effect
 
 
 def test_every_effect_of_a_full_scene_has_its_row():
@@ -305,7 +309,7 @@ def test_every_effect_of_a_full_scene_has_its_row():
     }
 
 
-def test_what_cannot_be_bounded_says_why():
+def test_effects_without_a_bound_give_the_reason():
     class Own(jv.Material):
         pass
 
@@ -331,7 +335,7 @@ def test_tracers_are_refused():
             jax.eval_shape(traced, jnp.ones(1))
 
 
-def test_what_is_free_stays_and_bounds_hold_over_its_box():
+def test_free_parameters_are_kept_and_bounds_hold_over_their_box():
     lights = [jv.PointLight([0, 0, 2], [1.0]), jv.PointLight([0, 0, 300], [1e-3])]
     scene = jv.Scene(FLOOR, lights)
     box = {"lights[1].intensity": (0.0, 10.0), "surfaces[0].material.diffuse": (0.0, 0.5)}
@@ -347,7 +351,7 @@ def test_what_is_free_stays_and_bounds_hold_over_its_box():
 
 
 @pytest.mark.parametrize("where", [(0.0, 0.0, 1.0), (0.5, 0.2, 3.0)])
-def test_a_lamp_that_may_move_is_bounded_wherever_it_goes(where):
+def test_a_moving_lamp_is_bounded_at_all_its_positions(where):
     ball = jv.Surface(jv.Sphere([0, 0, 0.5], 0.2), jv.Phong([0.1], [0.3], 20.0))
     scene = jv.Scene([FLOOR, ball], jv.PointLight([0, 0, 2], [1.0]))
     box = {"lights[0].position": ((-0.5, -0.5, 1.0), (0.5, 0.5, 3.0))}
@@ -357,7 +361,7 @@ def test_a_lamp_that_may_move_is_bounded_wherever_it_goes(where):
 
 
 def stretched(seed):
-    """Boxes of half of a random scene's strengths, and of the middles of its balls."""
+    """Return boxes for half of a random scene's strengths, and for the centres of its balls."""
     scene, _ = random_scene(seed)
     rng, box = np.random.default_rng(seed), {}
     for i, light in enumerate(scene.lights):
@@ -378,7 +382,8 @@ def stretched(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*QUICK, 11, 17])
 def test_bounds_over_a_box_hold_at_20_random_points_of_it(seed):
-    """Of each effect alone, by the oracle at one of them and by its bound there at all."""
+    """The change by each effect alone is within its bound over the box. At one point the oracle
+    renders it, and at all points it is the bound for that point."""
     scene, view = random_scene(seed)
     box, rng = stretched(seed), np.random.default_rng(seed)
     over = {e.name: e.bound for e in effects.inspect(scene, view, free=box)}
@@ -399,8 +404,8 @@ def test_bounds_over_a_box_hold_at_20_random_points_of_it(seed):
 
 
 @pytest.mark.parametrize("end", [np.inf, np.nan])
-def test_a_box_without_end_is_refused(end):
-    """A place that may be anywhere is nowhere: its shadows were called exactly none."""
+def test_an_infinite_box_is_refused(end):
+    """An infinite box has no position, and its shadows were bounded by exactly zero."""
     scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
     with pytest.raises(jv.InputError, match="finite ends"):
         effects.inspect(scene, VIEW, free={"lights[0].position": (-1.0, end)})
@@ -450,7 +455,7 @@ def test_no_tolerance_is_refused(text):
     ],
 )
 def test_a_forgotten_per_cent_is_refused(text, sentence):
-    """Within 100 % of the level, everything may be dropped and the picture is black."""
+    """Within 100 % of the level everything may be dropped, and the picture is black."""
     scene = jv.Scene(FLOOR, jv.PointLight([0, 0, 2], [1.0]))
     with pytest.raises(jv.InputError, match=re.escape(sentence)):
         effects.prune(scene, VIEW, text, level=1.0)
@@ -468,8 +473,9 @@ def test_a_certificate_explains_itself():
     assert "bound (DN)" in effects.explain(replace(certificate, unit="DN"))
 
 
-def test_paths_are_cut_where_light_no_longer_matters():
-    """Two facing dark plates: every further piece has at most rho times the form factor."""
+def test_paths_are_cut_where_light_is_negligible():
+    """Two dark plates face each other, so each further segment has at most rho times the form
+    factor."""
     plates = [
         jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.05 / np.pi])),
         jv.Surface(jv.Quad([-1, -1, 4], [0, 2, 0], [2, 0, 0]), jv.Lambert([0.05 / np.pi])),
@@ -486,7 +492,8 @@ def test_paths_are_cut_where_light_no_longer_matters():
 
 
 def test_bounds_hold_at_every_moment_of_a_motion():
-    """A lamp that comes near during the exposure counts as near, and is not left out."""
+    """A lamp that approaches during the exposure is bounded at its nearest position, and not left
+    out."""
     scene = jv.Scene(FLOOR, [jv.PointLight([0, 0, 2], [1.0]), jv.PointLight([0, 0, 99], [1.0])])
     camera = jv.Camera(VIEW, jv.Sensor(exposure_time=1.0))
 

@@ -1,5 +1,5 @@
-"""What stands for more than one thing is bounded apart: emission and ambient light, the box of a
-parameter and what a motion makes of it, counts below nothing, indices of several bands."""
+"""Tests that quantities with two roles are bounded separately: emission and ambient light, the box
+of a parameter and its motion, negative counts, and refractive indices of several bands."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 
 
 def toward(place):
-    """A view of the origin."""
+    """Return a view of the origin from a position."""
     forward = -np.asarray(place) / np.linalg.norm(place)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -29,7 +29,7 @@ def toward(place):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [0.0, 1e-6, 0.01])
-def test_bands_are_joined_where_only_emission_shows(tolerance):
+def test_bands_are_joined_where_only_emission_is_visible(tolerance):
     """Shading normals of a mesh face away at its rim, where there is no ambient light."""
     mesh = jv.TriangleMesh(OCTAHEDRON, FACES, normals=OCTAHEDRON)
     material = jv.Lambert([0.1, 0.1, 0.1], ambient=[0.0, 1.0, 0.5])
@@ -48,8 +48,9 @@ def test_bands_are_joined_where_only_emission_shows(tolerance):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tolerance", ["0.05DN", "0.2DN", "1DN"])
-def test_bands_never_stand_for_light_that_went_for_the_sensors_sake(tolerance):
-    """Ambient light of a band that the sensor hardly sees may go for a tenth of a DN."""
+def test_bands_are_not_joined_with_bands_dropped_for_the_sensor(tolerance):
+    """The ambient light of a band that the sensor hardly sees may be dropped for a tenth of a
+    DN."""
     even, far = np.ones(31), 10 * np.eye(31)[0]
     floor = jv.Surface(
         jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert(0.1 * even, ambient=even), even
@@ -74,8 +75,8 @@ def test_bands_never_stand_for_light_that_went_for_the_sensors_sake(tolerance):
     assert raw.max() > 1000
 
 
-def test_a_motion_of_what_is_free_leaves_nothing_out():
-    """The corners of the box of a lamp are turned out of the box between its turned ends."""
+def test_a_motion_of_a_free_parameter_drops_nothing():
+    """Rotating the corners of a lamp's box moves them out of the box between its rotated ends."""
     floor = jv.Surface(jv.Quad([-3, -3, 0], [6, 0, 0], [0, 6, 0]), jv.Lambert([0.3]))
     gloss = jv.Surface(jv.Sphere([11.6, 0, 0.6], 0.1), jv.Phong([0.1], [0.2], 5.0))
     scene = jv.Scene((floor, gloss), jv.PointLight([0.0, 0.0, 0.6], [1.0]))
@@ -95,7 +96,7 @@ def test_a_motion_of_what_is_free_leaves_nothing_out():
     assert all(e.bound == np.inf for e in found if e.name.startswith("surfaces[1]"))
     pruned = effects.prune(scene, camera, effects.Tolerance(0.5), level=1.0, free=box, **asked)
     assert not [e for e in pruned.certificate.dropped if not e.name.startswith("sensor")]
-    # of the sensor alone, what is free moves nothing
+    # only the sensor is free, which moves nothing
     ends = {"sensor.gain": (0.5, 1.0)}
     still = effects.inspect(scene, camera, free=ends, **asked)
     assert all(np.isfinite(e.bound) for e in still if e.name.startswith("surfaces[1].material"))
@@ -106,8 +107,9 @@ def test_a_motion_of_what_is_free_leaves_nothing_out():
     ("gain", "offset", "read", "mean"),
     [(10.0, 16.0, 0.2, 1.0), (1.0, 3.0, 0.5, 2.0), (100.0, 150.0, 0.02, 1.0), (3.0, 0.0, 1.0, 0.3)],
 )
-def test_gaussian_counts_below_nothing_are_clipped(gain, offset, read, mean):
-    """Mean square of what a converter cuts off at 0, by SciPy's normal distribution."""
+def test_negative_gaussian_counts_are_clipped(gain, offset, read, mean):
+    """The reference is the mean square of the part that a converter cuts off at 0, by SciPy's
+    normal distribution."""
     view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 1e-5, resolution=(256, 256))
     sensor = jv.Sensor(
         shot_noise=jv.GaussianShotNoise(), read_noise=read, gain=gain, offset=offset, bits=16
@@ -127,7 +129,8 @@ def test_gaussian_counts_below_nothing_are_clipped(gain, offset, read, mean):
 
 
 def test_reflectance_of_all_indices_between_two():
-    """Against the largest of many indices, by Snell's law; at grazing angles it is not the last."""
+    """The reference is the largest of many indices by Snell's law. At grazing angles it is not the
+    last index."""
     rng = np.random.default_rng(0)
     for cosine in rng.uniform(0.005, 1, 300):
         low, high = np.sort(rng.uniform(1.0001, 4, 2))

@@ -1,4 +1,4 @@
-"""Certified distances and shadow tests, against quadratic programmes and sampled segments."""
+"""Tests certified distances and shadow tests against quadratic programmes and sampled segments."""
 
 from dataclasses import replace
 
@@ -20,15 +20,16 @@ from jaxvision.effects.illumination import source_of
 from jaxvision.effects.stages import Ends
 from jaxvision.effects.umbra import hidden, shaded
 
-WHOLE = 1e4  # weight of "the shares sum to 1" in least squares
+WHOLE = 1e4  # weight of the constraint that the shares sum to 1, in least squares
 
 
 def twice(record):
     return Ends(record, record)
 
 
-def test_directions_to_an_eye_with_a_size_lie_within_their_cone():
-    """From any point of a ball to any point of a lens, and as far as a ray along both rims."""
+def test_directions_to_an_extended_eye_are_within_their_cone():
+    """The directions go from any point of a ball to any point of a lens. The cone is tight for a
+    ray along both rims."""
     rng = np.random.default_rng(0)
     radius, away = np.array([0.1, 0.5, 0.0]), np.array([[3.0, 0, 0], [0, -2, 1], [1, 1, 1]])
     cells = Cells(away, radius, np.eye(3), np.zeros(3), np.arange(3))
@@ -44,7 +45,7 @@ def test_directions_to_an_eye_with_a_size_lie_within_their_cone():
 
 
 def random_body(rng):
-    """Points and radii: a ball, a parallelogram, a box or a cloud."""
+    """Return points and radii of a ball, a parallelogram, a box or a cloud."""
     c, kind = rng.uniform(-1, 1, 3), rng.integers(4)
     if kind == 0:
         return c[None], np.array([rng.uniform(0.05, 0.5)])
@@ -61,7 +62,7 @@ def random_body(rng):
 
 
 def true_distance(a, b):
-    """By least squares over the shares of each body's points."""
+    """Return the distance by least squares over the weights of each body's points."""
     (p, r), (q, s) = a, b
     ones, none = np.ones(len(p)), np.zeros(len(q))
     sums = WHOLE * np.stack([np.r_[ones, none], np.r_[0 * ones, none + 1]])
@@ -93,7 +94,7 @@ def test_a_body_may_move_within_its_box():
 
 
 def segments(light, receiver, rng, count):
-    """Starts on a surface and ends at a light, of `count` segments that carry light."""
+    """Return `count` segments that carry light, from a surface to a light."""
     cells = cells_of([twice(receiver)], about=np.zeros(3))
     while True:
         aim = cells.centre[rng.integers(len(cells.centre), size=count)]
@@ -120,8 +121,8 @@ def segments(light, receiver, rng, count):
 
 
 @pytest.mark.parametrize("count", [15, pytest.param(1000, marks=pytest.mark.slow)])
-def test_what_may_not_block_is_never_met_by_a_segment(count):
-    """And of the triples that no segment finds blocked, 70 % are proved."""
+def test_no_segment_is_blocked_where_it_is_proved_free(count):
+    """Of the triples where no segment is blocked, at least 70 % are proved."""
     silent = proved = 0
     for seed in range(count):
         draw = Draw(seed)
@@ -161,7 +162,7 @@ def test_a_convex_room_and_a_lone_ball_cast_no_shadows():
     assert may_block([lamp], [twice(jv.Surface(mesh, jv.Lambert([0.1])))])[0, 0, 0]
 
 
-def test_what_a_pixel_sees_is_in_view():
+def test_everything_a_pixel_sees_is_in_view():
     view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 0.001, resolution=(20, 30))
     eye = eye_of(twice(view))
     places = np.array(
@@ -183,8 +184,9 @@ FREE = {
 
 
 @pytest.mark.parametrize("kind", FREE)
-def test_a_free_body_holds_every_shape_of_its_box(kind):
-    """Wherever it is put and however large, along 200 directions, by the shape's own extent."""
+def test_a_free_body_contains_every_shape_of_its_box(kind):
+    """The body contains the shape at every position and size, along 200 directions, by the shape's
+    own extent."""
     rng, (shape, small, large) = np.random.default_rng(0), FREE[kind]
     body = body_of(Ends(shape(CENTRES[0], small), shape(CENTRES[1], large)))
     assert body is not None
@@ -202,7 +204,7 @@ def test_a_free_body_holds_every_shape_of_its_box(kind):
 
 
 def surface_points(kind, centre, size, rng):
-    """Points of a shape, its corners among them."""
+    """Return points on a shape, including its corners."""
     signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
     turn = rng.uniform(0, 2 * np.pi, (400, 1))
     match kind:
@@ -220,8 +222,9 @@ def surface_points(kind, centre, size, rng):
     return centre + np.stack([0 * size, size, other, size + other])
 
 
-def test_a_direction_that_may_be_any_comes_from_everywhere():
-    """A box about the origin holds all directions, also where its corners' mean is the origin."""
+def test_an_unknown_direction_comes_from_everywhere():
+    """A box around the origin contains all directions, even if the mean of its corners is the
+    origin."""
     lows, highs = ([-1, -1, -1], [1, 1, 1]), ([-0.1, -0.2, 0.0], [0.3, 1.0, 1.0])
     for low, high in (lows, highs):
         source = source_of(Ends(*(jv.DirectionalLight(d, [1.0]) for d in (low, high))))
@@ -230,8 +233,8 @@ def test_a_direction_that_may_be_any_comes_from_everywhere():
 
 @pytest.mark.parametrize(("away", "over"), [(5000.0, 0.03), (20000.0, 0.1), (100.0, 0.003)])
 def test_shadows_far_from_the_origin(away, over):
-    """A sheet over a floor, both so far away that single precision has few digits for the gap, and
-    the lamp beside it: the strip in its shadow, by similar triangles, is in the picture."""
+    """A sheet, a floor and a lamp are so far from the origin that float32 has few digits for the
+    gap. The strip in shadow, by similar triangles, is in the picture."""
     floor = jv.Surface(jv.Quad([-1, -1, away], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
     sheet = jv.Surface(jv.Quad([0, -1, away + over], [1, 0, 0], [0, 2, 0]), jv.Lambert([0.0]))
     lamp = jv.PointLight([5.0, 0, away + 5.0], [100.0])
@@ -239,7 +242,7 @@ def test_shadows_far_from_the_origin(away, over):
     scene32 = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), scene)
     low, high = (float(surface.shape.corner[2]) for surface in scene32.surfaces)
     over = high - low
-    strip = 5.0 * over / (5.0 - over)  # m of the floor, beside the sheet
+    strip = 5.0 * over / (5.0 - over)  # m, the shadow on the floor beside the sheet
     down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     view = jv.Orthographic([0, 0, away + 3], down, strip / 4, resolution=(4, 8))
     row = {e.name: e for e in effects.inspect(scene32, view)}["shadows[0]"]
@@ -255,7 +258,7 @@ SIDES += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
     ("vertices", "faces", "closed"),
     [
         (CUBE, SIDES, True),
-        (CUBE[np.ravel(SIDES)], np.arange(36).reshape(12, 3), True),  # each corner many times
+        (CUBE[np.ravel(SIDES)], np.arange(36).reshape(12, 3), True),  # each corner several times
         (CUBE, SIDES[1:], False),
         (CUBE, [face[::-1] for face in SIDES], False),  # inside out
         (CUBE, [SIDES[0][::-1], *SIDES[1:]], False),
@@ -269,7 +272,7 @@ def test_which_meshes_bound_a_body(vertices, faces, closed):
 
 
 def tilted(vertices):
-    """Turned, and rounded to float32."""
+    """Return vertices rotated and rounded to float32."""
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     return (np.asarray(vertices) @ (turn * np.sign(np.linalg.det(turn))) + 3).astype(np.float32)
 
@@ -288,7 +291,7 @@ DENTED = np.where((CUBE == 1).all(1)[:, None], 0.6, CUBE)  # a corner pushed in
         (np.concatenate([CUBE, CUBE + 2]), [*SIDES, *(np.array(SIDES) + 8)], False),
     ],
 )
-def test_the_outer_side_of_a_convex_mesh_lies_in_no_shadow_of_its_own(vertices, faces, convex):
+def test_the_outer_side_of_a_convex_mesh_is_not_in_its_own_shadow(vertices, faces, convex):
     mesh = jv.TriangleMesh(vertices, faces)
     assert is_convex(twice(mesh)) is convex
     lamp = source_of(twice(jv.PointLight([9.0, 8, 7], [1.0])))
@@ -313,7 +316,8 @@ def test_the_outer_side_of_a_convex_mesh_lies_in_no_shadow_of_its_own(vertices, 
 
 
 def test_a_room_around_lamp_and_receiver_blocks_nothing():
-    """The segment between two points of a convex body stays in it; one that leaves it may not."""
+    """The segment between two points of a convex body stays inside. A segment that leaves the body
+    may be blocked."""
     grey = jv.Lambert([0.1])
     shapes = {
         "box": jv.Box(

@@ -1,4 +1,4 @@
-"""`capture` with a tolerance: the same picture with less, and a smaller program."""
+"""Tests `capture` with a tolerance: the same picture with fewer effects, and a smaller program."""
 
 from dataclasses import replace
 
@@ -70,8 +70,9 @@ def test_a_tolerance_is_for_known_numbers_only():
 
 
 @pytest.mark.slow
-def test_what_is_proved_not_to_matter_goes_at_no_tolerance_and_leaves_nothing_behind():
-    """Idle parts of scene, lens, motion, sensor and development; the program only shrinks."""
+def test_provably_idle_effects_are_dropped_without_a_tolerance():
+    """Idle parts of scene, lens, motion, sensor and development are dropped, and the program only
+    shrinks."""
     pruned = effects.prune(SCENE, CAMERA, "0DN", samples=SAMPLES, motion=rest, moments=8)
     gone = {effect.name for effect in pruned.certificate.dropped}
     assert gone >= {
@@ -94,8 +95,9 @@ def test_what_is_proved_not_to_matter_goes_at_no_tolerance_and_leaves_nothing_be
 
 
 @pytest.mark.slow
-def test_the_picture_with_nothing_allowed_is_the_picture():
-    """Within 4 ULP of its largest value; noise is drawn by the same keys."""
+def test_a_tolerance_of_zero_does_not_change_the_picture():
+    """The pictures agree within 4 ULP of the largest value, because the same keys draw the
+    noise."""
     hole = s.Pinhole([0, 0, 3], DOWN, 0.05, 0.002, resolution=(8, 8), f_number=2.0)
     camera = replace(CAMERA, view=hole)
     full = capture(KEY, SCENE, camera, die_key=DIE)
@@ -107,8 +109,9 @@ def test_the_picture_with_nothing_allowed_is_the_picture():
 
 
 @pytest.mark.slow
-def test_what_a_tolerance_drops_moves_frames_by_no_more_than_it_says():
-    """Means and rms of 400 frames, full and pruned, of every pixel."""
+def test_dropped_effects_change_frames_by_at_most_the_bound():
+    """The mean and the standard deviation of every pixel are compared over 400 frames, full and
+    pruned."""
     camera = replace(
         CAMERA, view=s.Orthographic([0, 0, 3], DOWN, 0.2, resolution=(8, 8), f_number=2.0)
     )
@@ -133,7 +136,7 @@ def equations(sensor):
 
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(40), marks=pytest.mark.slow)])
 def test_a_pruned_sensor_is_never_a_larger_program(seeds):
-    """Random sensors: fewer equations with anything dropped, else as many."""
+    """Random sensors have fewer equations if anything is dropped, and as many otherwise."""
     for seed in seeds:
         sensor, _, light, rng = draw(seed)
         rows, response = sensor_stage(Ends(sensor, sensor), np.array([light.max()]), shape=SHAPE)
@@ -150,12 +153,13 @@ def test_a_pruned_sensor_is_never_a_larger_program(seeds):
 
 
 @pytest.mark.slow
-def test_what_changes_nothing_is_left_out_without_asking(monkeypatch):
-    """Where looking is cheap, of a known scene: the dark lamp, a factor of 1 and what is 0."""
+def test_effects_that_change_nothing_are_left_out_by_default(monkeypatch):
+    """In a known scene where a search is cheap, the dark lamp, a factor of 1 and zeros are left
+    out."""
     view = replace(jv.Orthographic([0, 0, 3], DOWN, 0.05, resolution=(8, 8)), f_number=2.0)
     camera = replace(CAMERA, view=view)
     whole = capture(KEY, SCENE, camera, die_key=DIE)
-    assert whole.certificate is None  # looking at so few pixels would take longer than they do
+    assert whole.certificate is None  # a search would take longer than so few pixels
     monkeypatch.setattr("jaxvision.shot.looking_pays", lambda *_, **__: True)
     less = capture(KEY, SCENE, camera, die_key=DIE)
     gone = {effect.name for effect in less.certificate.dropped}

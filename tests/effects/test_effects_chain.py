@@ -1,4 +1,5 @@
-"""The whole chain from light to DN, full and pruned: radiance, lens and sensor drawn in NumPy."""
+"""Tests the whole chain from light to DN, full and pruned, with radiance, lens and sensor computed
+in NumPy."""
 
 import math
 from dataclasses import replace
@@ -20,12 +21,13 @@ ROUNDING = 1e-6  # DN, of the oracle
 
 
 def drawn(scene, view):
-    """(h, w, bands) W m^-2 sr^-1 by the oracle."""
+    """Return the oracle's picture, (h, w, bands) in W m^-2 sr^-1."""
     return picture(*jax.tree.map(np.asarray, (scene, view)))
 
 
 def on_sensor(radiance, view):
-    """(h, w, bands) irradiance behind a lens at infinity focus: cos^4, rim and diffraction."""
+    """Return the irradiance, (h, w, bands), behind a lens at infinity focus with cos^4, rim and
+    diffraction."""
     pitch, focal, n = (float(x) for x in (view.pixel_pitch, view.focal_length, view.f_number))
     u = lenses.slopes(view.resolution, pitch, focal)
     gain = math.pi / (4 * n**2) * (1 + (u**2).sum(0)) ** -2
@@ -41,7 +43,7 @@ def on_sensor(radiance, view):
 
 
 def electrons(irradiance, sensor):
-    """(h, w) photoelectrons under a mosaic."""
+    """Return the photoelectrons under a mosaic, (h, w)."""
     seen = irradiance @ np.asarray(sensor.colour_filter.transmission).T
     tile = np.asarray(sensor.colour_filter.pattern)
     h, w = irradiance.shape[:2]
@@ -50,7 +52,7 @@ def electrons(irradiance, sensor):
 
 
 def random_camera(seed, view, radiance):
-    """A thin lens at infinity focus and a mosaic sensor that hold a random lot of effects."""
+    """Return a thin lens at infinity focus and a mosaic sensor with random effects."""
     sensor, f, _, rng = draw(seed)
     pitch, n = float(view.pixel_pitch), rng.uniform(2, 16)
     focal = float(view.focal_length)
@@ -77,7 +79,8 @@ def random_camera(seed, view, radiance):
 
 
 def promised_and_actual(seed):
-    """DN: the total of a certificate, and how far the law of any pixel moves; None: no light."""
+    """Return the total of a certificate and the largest change of any pixel's distribution, in DN,
+    or None without light."""
     scene, view = random_scene(seed)
     if isinstance(view, s.Orthographic):
         return None

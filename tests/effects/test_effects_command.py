@@ -1,4 +1,4 @@
-"""`jaxvision effects` and `render --tolerance`: what is printed, and what the file's head says."""
+"""Tests `jaxvision effects` and `render --tolerance`: the printed text and the file's header."""
 
 import json
 from functools import partial
@@ -45,8 +45,9 @@ def test_effects_are_listed(scene):
 
 
 @pytest.mark.slow
-def test_what_each_takes_is_measured(scene):
-    """A program for each effect but those that stay: what is absent, what has no lesser one."""
+def test_the_time_of_each_effect_is_measured(scene):
+    """A program is timed for each effect, except those that are kept because they are absent or
+    have no simpler form."""
     status, said, _ = run("effects", scene, "--json", "--time")
     found = {effect["name"]: effect["seconds"] for effect in json.loads(said)}
     assert status == 0
@@ -74,7 +75,7 @@ def test_mistakes_are_one_sentence(scene, arguments, sentence):
     assert said.count("\n") == 1
 
 
-def test_the_place_is_that_of_the_tolerance(scene, monkeypatch):
+def test_place_is_passed_with_the_tolerance(scene, monkeypatch):
     def prune_scene(source, settings, goal, **asked):
         raise InputError(f"{goal.value:g} {goal.unit}, {goal.place:g} pixels.")
 
@@ -85,7 +86,7 @@ def test_the_place_is_that_of_the_tolerance(scene, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_pruned_render_is_that_of_the_whole_scene_within_its_tolerance(scene, tmp_path):
+def test_a_pruned_render_equals_the_whole_scene_within_its_tolerance(scene, tmp_path):
     whole, pruned = tmp_path / "whole.exr", tmp_path / "pruned.exr"
     assert run("render", scene, "--out", whole, "--no-preview")[0] == 0
     status, said, _ = run("render", scene, "--out", pruned, "--no-preview", "--tolerance", "1%")
@@ -99,7 +100,7 @@ def test_a_pruned_render_is_that_of_the_whole_scene_within_its_tolerance(scene, 
 
 
 @pytest.mark.slow
-def test_what_may_be_left_out_is_said_last(scene):
+def test_effects_that_may_be_left_out_are_listed_last(scene):
     _, said, _ = run("effects", scene, "--tolerance", "1%")
     assert said.splitlines()[-1].startswith("Dropped 4 of 5: at most")
     assert said.rstrip().endswith("% smaller.")
@@ -108,7 +109,7 @@ def test_what_may_be_left_out_is_said_last(scene):
 
 
 @pytest.mark.slow
-def test_effects_bear_the_names_of_the_file_and_shares_in_percent():
+def test_effects_have_the_names_of_the_file_and_shares_in_per_cent():
     status, out, _ = called(app, "effects", "glass_and_mirror", "--tolerance", "1%")
     assert status == 0
     for words in ('lights[0] "lamp"', 'surfaces[2].material "glass ball"', "> 100 %"):

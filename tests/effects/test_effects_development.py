@@ -1,4 +1,4 @@
-"""Factors of the steps of a development, against pairs of raw pictures that differ."""
+"""Tests the error factors of the steps of a development with pairs of raw pictures."""
 
 from dataclasses import fields, replace
 
@@ -47,8 +47,9 @@ IDENTITIES = {
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", STEPS)
-def test_no_pair_of_pictures_moves_apart_by_more_than_the_factor(name):
-    """Random pairs, and of linear steps the worst: the signs of a row of the filter."""
+def test_the_difference_of_two_pictures_grows_by_at_most_the_factor(name):
+    """The pairs are random and, for linear steps, the worst case: the signs of a row of the
+    filter."""
     steps = s.Development(**STEPS[name])
     rng = np.random.default_rng(3)
     mosaic = steps.demosaicing is not None
@@ -74,7 +75,7 @@ def test_factors_multiply():
 
 
 @pytest.mark.parametrize("name", NONE)
-def test_steps_without_a_factor_say_why(name):
+def test_steps_without_a_factor_give_the_reason(name):
     factor = lipschitz(s.Development(**NONE[name]))
     assert factor.value == np.inf
     assert factor.why
@@ -87,7 +88,7 @@ def test_the_slope_of_the_film_curve_is_the_largest():
 
 
 @pytest.mark.parametrize("name", IDENTITIES)
-def test_a_step_that_changes_nothing_can_go(name):
+def test_a_step_that_changes_nothing_can_be_dropped(name):
     steps = s.Development(**IDENTITIES[name])
     (row,) = development_stage(Ends(steps, steps))
     assert (row.effect.name, row.effect.rank) == (f"development.{name}", "exact")

@@ -1,4 +1,5 @@
-"""Random scenes through what `render --tolerance` runs: files on disk, whole and pruned."""
+"""Tests pruning of random scenes through the code that `render --tolerance` runs, with files on
+disk, whole and pruned."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ SETTINGS = RenderEntry.model_validate({"dtype": "float64"})
 
 
 def scene_file(seed):
-    """A random scene as if it had been read."""
+    """Return a random scene as if it had been read from a file."""
     scene, view = random_scene(seed)
     first = scene.lights[0]
     bands = getattr(first, first.spectra[0]).shape[-1]
@@ -30,8 +31,9 @@ def scene_file(seed):
 
 
 @pytest.mark.slow
-def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
-    """A lamp that shines at a mirror alone: it lights the floor by paths that start at the lamp."""
+def test_light_tracing_keeps_a_lamp_behind_a_mirror():
+    """A lamp shines only at a mirror, so it lights the floor only by paths that start at the
+    lamp."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
     mirror = jv.Surface(jv.Quad([-1, -1, 3], [0, 2, 0], [2, 0, 0]), jv.Mirror([0.9]))
     scene = jv.Scene([floor, mirror], jv.SmallLight([0, 0, 1.5], [0, 0, 1], [5.0]))
@@ -47,8 +49,8 @@ def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
 
 
 @pytest.mark.parametrize("integrator", ["path", "light", "rays", "radiosity"])
-def test_paths_go_only_where_they_can_be_cut(integrator):
-    """A solution of radiosity and a tree of rays take what they take."""
+def test_only_integrators_of_paths_are_cut(integrator):
+    """The cost of radiosity and of trees of rays does not depend on the depth."""
     settings = RenderEntry.model_validate({"integrator": integrator})
     pruned = prune_scene(scene_file(3), settings, "50%", level=1e6)
     cut = integrator in ("path", "light")
@@ -63,7 +65,7 @@ def test_paths_go_only_where_they_can_be_cut(integrator):
 
 @pytest.mark.slow
 def test_a_pruned_picture_is_not_resumed_as_a_whole_one(tmp_path):
-    """The part of a killed render is kept only for the same certificate."""
+    """The partial file of a killed render is used only with the same certificate."""
     source, out = scene_file(41), tmp_path / "out.exr"
     settings = SETTINGS.model_copy(update={"tile": 100})
     pruned = prune_scene(source, settings, "5%")

@@ -1,4 +1,4 @@
-"""What looks different from each part of a lens, though it is in focus, against sums over the lens
+"""Tests surfaces in focus that look different from each part of a lens, against sums over the lens
 in NumPy and pictures."""
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ def lens(f_number, **parts):
 
 
 def facing(material, **parts):
-    """A card in focus."""
+    """Return a card in focus."""
     return jv.Surface(
         jv.Quad([-0.15, -0.15, DISTANCE], [0, 0.3, 0], [0.3, 0, 0]), material, **parts
     )
@@ -37,7 +37,8 @@ def normalised(v):
 
 
 def glints(exponent, f_number):
-    """Radiance of a PhongBRDF of k_s = 1 at points in the picture, by the lens and its middle."""
+    """Return the radiance of a PhongBRDF with k_s = 1 at points in the picture, seen by the whole
+    lens and by its centre."""
     side = np.linspace(-0.01, 0.01, 41)
     x = np.stack([*np.meshgrid(side, side), np.full((41, 41), DISTANCE)], -1).reshape(-1, 1, 3)
     radius = FOCAL / f_number / 2
@@ -69,15 +70,15 @@ def test_a_glossy_card_in_focus_differs_over_the_lens(exponent, f_number):
     assert row.place == 0
     assert changed > 1e-4 * by_middle.max() * gain
     assert changed <= row.bound <= 2 * by_middle.max() * gain
-    if f_number > 10:  # where the slope bounds it, it is far below the glint
+    if f_number > 10:  # where the bound on the slope applies, it is far below the glint
         assert row.bound <= 0.2 * by_middle.max() * gain
     samples = PixelSamples(jax.random.key(0), 4)
     left = effects.prune(scene, view, "0%", samples=samples)
     assert isinstance(left.camera, jv.ThinLens)
 
 
-def test_what_is_matt_looks_the_same_from_all_of_the_lens():
-    """Under a lamp and ambient light, and with light of its own."""
+def test_a_matte_card_looks_the_same_from_all_of_the_lens():
+    """The card is under a lamp and ambient light, and emits light."""
     card = facing(jv.Lambert([0.2], ambient=[0.1]), emission=[0.1])
     lamps = [
         jv.PointLight(LAMP, [1.0]),
@@ -103,7 +104,7 @@ def test_what_is_matt_looks_the_same_from_all_of_the_lens():
     ids=lambda material: type(material).__name__,
 )
 def test_the_bound_holds_between_any_two_points_of_the_lens(material):
-    """The spread of what points of a card send to points of the rim of the lens."""
+    """The radiance from points of a card varies over the rim of the lens by at most the bound."""
     place = np.array([0.4, 0.1, 0.1])
     rng, frame = np.random.default_rng(0), np.array([1.0, -1, -1])  # the card faces -z
     x = np.concatenate([rng.uniform(-0.01, 0.01, (40, 2)), np.full((40, 1), DISTANCE)], 1)
@@ -119,8 +120,9 @@ def test_the_bound_holds_between_any_two_points_of_the_lens(material):
     assert 0 < np.ptp(sent, axis=0).max() <= bound
 
 
-def test_what_mirrors_show_is_not_in_focus():
-    """Emitters behind the camera, in a mirror in focus: in direct light, it shows the sky."""
+def test_reflections_in_a_mirror_are_not_in_focus():
+    """The emitters are behind the camera, seen in a mirror that is in focus. In direct light it
+    shows the sky."""
     mirror = facing(jv.Mirror([0.5]))
     sky = jv.environment_map(np.linspace(0, 1, 128).reshape(8, 16, 1))
     for scene, depth in (

@@ -1,4 +1,4 @@
-"""Bounds of goniometric lamps in random scenes, against a NumPy oracle."""
+"""Tests bounds of goniometric lamps in random scenes against a NumPy oracle."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ SOME = [range(3), *(pytest.param(range(k, k + 10), marks=pytest.mark.slow) for k
 
 
 def lamp_scene(seed):
-    """A random scene whose lights are two spots and two goniometric lamps, some of them dim."""
+    """Return a random scene lit by two spots and two goniometric lamps, some of them dim."""
     scene, view = random_scene(seed)
     rng = np.random.default_rng(seed)
     lamps = []
@@ -65,8 +65,8 @@ def test_each_lamp_alone_and_a_pruned_scene_keep_their_bounds(seeds):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_oracle_draws_what_the_library_renders(seed):
-    """Else a wrong oracle might keep any bound."""
+    """A wrong oracle might satisfy any bound."""
     scene, view = lamp_scene(seed)
     wanted = drawn(scene, view)
     off = np.abs(np.asarray(jv.render(scene, view)) - wanted)
-    assert np.quantile(off, 0.98) <= 1e-4 * wanted.max()  # but for outlines of shadows
+    assert np.quantile(off, 0.98) <= 1e-4 * wanted.max()  # except outlines of shadows

@@ -1,4 +1,5 @@
-"""What lenses let into a picture from outside of the frame, and apertures that are not round."""
+"""Tests light that reaches a picture through a lens from outside the frame, and apertures that are
+not round."""
 
 from dataclasses import replace
 
@@ -35,17 +36,18 @@ def lens(**parts):
 
 
 def image_of(focus):
-    """m from the lens to the sensor."""
+    """Return the distance from the lens to the sensor, in m."""
     return 1 / (1 / FOCAL - 1 / focus)
 
 
 def facing(x, y, z, width, height):
-    """Corner and edges of a rectangle about (x, y, z) that faces the camera."""
+    """Return corner and edges of a rectangle around (x, y, z) that faces the camera."""
     return [x - width / 2, y - height / 2, z], [0, height, 0], [width, 0, 0]
 
 
 def points_in(aperture, radius, n=41):
-    """Points of an aperture of a lens of that radius, m, its corners among them: (n^2, 2)."""
+    """Return points of the aperture of a lens of this radius in m, (n^2, 2), including its
+    corners."""
     side = np.linspace(-1, 1, n)
     if isinstance(aperture, jv.RectangularAperture):
         sizes = radius * float(aperture.width), radius * float(aperture.height)
@@ -72,8 +74,8 @@ def test_every_ray_of_a_pixel_is_in_view(aperture):
             assert visible_flags(eye, Bodies(ray[:, None], np.zeros((len(ray), 1)))).all()
 
 
-def test_what_a_lens_does_not_let_in_is_out_of_view():
-    """At most 2 r beyond the widest ray at the depth z."""
+def test_points_that_cannot_reach_the_lens_are_out_of_view():
+    """Light from at most 2 r beyond the widest ray at depth z can enter."""
     eye, radius = eye_of(Ends(lens(), lens())), FOCAL / 4
     for depth in (0.5, 1.0, 50.0):
         pixel = (SHAPE[1] / 2 + 0.5) * PITCH / image_of(1.0) * depth
@@ -83,8 +85,9 @@ def test_what_a_lens_does_not_let_in_is_out_of_view():
 
 
 @pytest.mark.slow
-def test_what_blurs_into_the_picture_is_kept():
-    """An emitter and a lamp beside the frame, far beyond the focus, full and pruned."""
+def test_lights_blurred_into_the_picture_are_kept():
+    """An emitter and a lamp are outside the frame, far beyond the focus. The picture is compared
+    full and pruned."""
     beside = 50 * SHAPE[1] / 2 * PITCH / image_of(1.0) + 0.45
     wall = jv.Surface(jv.Quad(*facing(0, 0, 60, 200, 200)), jv.Lambert([0.3]), emission=[1.0])
     shines = jv.Quad(*facing(beside, 0, 50, 0.15, 2))
@@ -92,7 +95,7 @@ def test_what_blurs_into_the_picture_is_kept():
     lamp = jv.RectangleLight(*facing(-beside, 0, 50, 0.15, 2), [1000.0])
     scene = jv.Scene([wall, emitter], [lamp], occluders=())
     full = np.asarray(rendered(scene, lens(), samples=SAMPLES))
-    assert full[:, -1].max() > 2  # of the wall 1: the emitter is in the picture,
+    assert full[:, -1].max() > 2  # the wall alone gives 1, so the emitter is in the picture
     assert full[:, 0].max() > 2  # and so is the lamp
     left = effects.prune(scene, lens(), effects.Tolerance(0.0, place=0.0), samples=SAMPLES)
     small = np.asarray(rendered(left.scene, left.camera, samples=left.samples))
@@ -104,7 +107,7 @@ def test_what_blurs_into_the_picture_is_kept():
 @pytest.mark.sweep
 @pytest.mark.parametrize("aperture", APERTURES[3:], ids=repr)
 def test_a_rim_cuts_off_corners_of_the_aperture(aperture):
-    """The share of rays through the aperture that the rim stops, counted."""
+    """The reference counts the share of rays through the aperture that the rim blocks."""
     view = lens(aperture=aperture, focus_distance=2.0, rim=jv.Rim(0.01, 0.0255))
     view = replace(view, pixel_pitch=1e-5)
     points = points_in(aperture, FOCAL / 4, n=801)
@@ -130,8 +133,8 @@ def test_corners_of_the_aperture_blur_the_farthest(aperture):
         assert farthest == pytest.approx(place, rel=1e-5)
 
 
-def test_a_camera_that_may_move_comes_nearer():
-    """The displacement at the nearest place of the camera, by rays."""
+def test_a_camera_that_may_move_is_bounded_at_its_nearest_position():
+    """The displacement is computed by rays at the camera's nearest position."""
     scene = jv.Scene([jv.Surface(jv.Quad(*facing(0, 0, 2, 9, 9)), jv.Lambert([0.3]))], POINT)
     free = {"view.position": ([0, 0, -0.5], [0, 0, 0.5])}
     rows = effects.inspect(scene, lens(), free=free, samples=SAMPLES)
@@ -142,8 +145,9 @@ def test_a_camera_that_may_move_comes_nearer():
 
 
 @pytest.mark.slow
-def test_what_moves_towards_a_lens_moves_in_its_blur():
-    """Through every point of the aperture: x' - x = (p - a) (1 / z' - 1 / z) for a point p."""
+def test_motion_towards_a_lens_is_bounded_over_the_aperture():
+    """For a point p and an aperture point a, the displacement is x' - x = (p - a) (1 / z' - 1 /
+    z)."""
     card = facing(0, 0, 3, 0.1, 0.1)
     scene = jv.Scene([jv.Surface(jv.Quad(*card), jv.Lambert([0.3]))], POINT)
     view = replace(lens(f_number=1.0, focus_distance=0.2), resolution=(2, 2))
@@ -158,13 +162,14 @@ def test_what_moves_towards_a_lens_moves_in_its_blur():
     last = 3 - 50 * 0.02 * 7 / 8
     points = points_in(jv.CircularAperture(), FOCAL / 2)
     places = [lenses.through(points, np.zeros(2), z, 1 / 0.2) for z in (3.0, last)]
-    seen = (np.abs(places[0]) <= 0.05).all(1)  # points of the card, by rays of the middle
+    seen = (np.abs(places[0]) <= 0.05).all(1)  # points of the card, by rays through the centre
     moved = (places[0][seen] - points[seen]) * (1 / last - 1 / 3)
     assert row.effect.place >= np.hypot(*moved.T).max() * image_of(0.2) / PITCH
 
 
 def beside_the_frame(seed):
-    """A wall, two emitters and a lamp at any depths beside the frame of a lens, and the lens."""
+    """Return a lens and a scene of a wall, two emitters and a lamp, at random depths outside its
+    frame."""
     rng = np.random.default_rng(seed)
     focus = float(np.exp(rng.uniform(np.log(0.15), np.log(5))))
     f_number = rng.uniform(1, 4)

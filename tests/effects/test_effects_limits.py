@@ -1,4 +1,5 @@
-"""Numbers that prove nothing, words that mean nothing, and paths of any length."""
+"""Tests pruning with numbers that are not finite, with meaningless words, and with paths of any
+length."""
 
 from dataclasses import replace
 
@@ -35,8 +36,8 @@ BALL = jv.Sphere([0, 0, 0.5], 0.2)
         ),
     ],
 )
-def test_a_number_that_is_not_finite_proves_nothing(surfaces, lights, name):
-    """A lamp at NaN makes the whole picture NaN; it may not go as one that shines nowhere."""
+def test_no_effect_is_dropped_if_a_number_is_not_finite(surfaces, lights, name):
+    """A lamp at NaN makes the whole picture NaN, and must not be dropped as one without effect."""
     pruned = effects.prune(jv.Scene(surfaces, lights), VIEW, "10%", level=1.0)
     assert not pruned.certificate.dropped
     for effect in pruned.certificate.kept:
@@ -59,7 +60,7 @@ def test_numbers_out_of_range_are_refused(options, sentence):
         effects.prune(jv.Scene(FLOOR, POINT), VIEW, "1%", **{"level": 1.0} | options)
 
 
-def test_no_tolerance_allows_what_has_no_bound():
+def test_no_tolerance_drops_effects_without_a_bound():
     with pytest.raises(jv.InputError, match="finite"):
         effects.Tolerance(np.inf)
     with pytest.raises(jv.InputError, match="a number and its unit"):
@@ -81,10 +82,11 @@ def test_paths_of_any_length_are_bounded_in_a_few_rows():
 
 
 def test_the_second_derivative_of_a_small_lamp():
-    """The 12 of `effects.extent`, by differences along a line, over random planes and places."""
+    """The 12 of `effects.extent` is the largest second difference along a line, over random planes
+    and positions."""
     rng = np.random.default_rng(0)
     normal, along, apart = (rng.normal(size=(20_000, 3)) for _ in range(3))
-    normal[:100] = apart[:100] = along[:100]  # where it is largest
+    normal[:100] = apart[:100] = along[:100]  # the largest case
     normal, along, apart = (x / np.linalg.norm(x, axis=1)[:, None] for x in (normal, along, apart))
 
     def integrand(h):
@@ -96,9 +98,9 @@ def test_the_second_derivative_of_a_small_lamp():
     assert 11.99 < np.abs(second).max() < 12.01
 
 
-def test_effects_that_leave_the_same_program_share_it(monkeypatch):
-    """One of several glossy balls made matt is the same program, whichever it is; so are paths of
-    all lengths."""
+def test_effects_with_the_same_remaining_program_share_its_time(monkeypatch):
+    """A scene where one of several glossy balls becomes matte has the same program, whichever ball
+    it is. So do paths of all lengths."""
     asked = {}
 
     def in_turns(runs, advance):
@@ -113,12 +115,12 @@ def test_effects_that_leave_the_same_program_share_it(monkeypatch):
     assert taken == [0.0] * 3
     lengths = {kind[-1][1] for kind in asked if kind[0] == "scene"}
     assert lengths == {2, 3, 4, 5}
-    # whole, without the lamp, with one ball matt
+    # the whole scene, without the lamp, with one matte ball
     assert len({kind[:-1] for kind in asked if kind[0] == "scene"}) == 3
 
 
-def test_shadows_that_nobody_searches_save_nothing():
-    """One convex shape, and a scene whose occluders are none, trace no shadows as they are."""
+def test_shadows_that_are_not_traced_save_nothing():
+    """One convex shape, or a scene without occluders, traces no shadows anyway."""
     balls = [FLOOR, jv.Surface(BALL, GREY)]
     for scene, saves in (
         (jv.Scene([FLOOR], [POINT]), 0.02),
@@ -140,8 +142,9 @@ def test_shadows_that_nobody_searches_save_nothing():
     ],
     ids=lambda material: type(material).__name__,
 )
-def test_a_lamp_that_the_horizon_cuts_is_bounded_as_a_place(material):
-    """A lobe without a cosine ends there at once: half of the lamp is away, or all of the place."""
+def test_a_lamp_cut_by_the_horizon_is_bounded_as_a_point(material):
+    """A lobe without a cosine ends abruptly at the horizon, so half of the lamp is cut off, or all
+    of it as a point."""
     floor = jv.Surface(jv.Quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), material)
     r = np.sqrt(0.5)
     view = jv.Pinhole(
@@ -176,7 +179,7 @@ def test_a_tolerance_of_zero_moves_nothing(text):
 
 
 def test_a_blur_below_a_tenth_of_a_pixel_stays_at_a_tolerance_of_zero():
-    """By the lens equation: r z_i |1 / z - 1 / z_f| over the pitch."""
+    """The blur by the lens equation is r z_i |1 / z - 1 / z_f| over the pitch."""
     view = jv.ThinLens(
         np.zeros(3), np.eye(3), 0.05, 1e-4, f_number=4.0, focus_distance=1.0, resolution=(4, 4)
     )
@@ -190,8 +193,8 @@ def test_a_blur_below_a_tenth_of_a_pixel_stays_at_a_tolerance_of_zero():
     assert left.certificate.place == pytest.approx(pixels, rel=1e-6)
 
 
-def test_bounds_of_paths_in_a_large_scene_are_quick_and_no_smaller(monkeypatch):
-    """With 270 balls, shares are added up without their order, and the tail follows the norm."""
+def test_bounds_of_paths_in_a_large_scene_are_quick_and_not_too_small(monkeypatch):
+    """With 270 balls, shares are added without their order, and the tail follows the norm."""
     rng = np.random.default_rng(5)
     places = rng.uniform(-1, 1, (270, 2))
     glossy = jv.Phong([0.1], [0.2], 20.0)

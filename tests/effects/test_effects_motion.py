@@ -1,4 +1,5 @@
-"""How far a motion moves things, against pictures of bright bodies traced in NumPy."""
+"""Tests the bound on displacements by a motion, against pictures of bright bodies traced in
+NumPy."""
 
 import math
 from dataclasses import replace
@@ -34,7 +35,7 @@ def turned(angle):
 
 
 class Moving:
-    """A ball that flies, and a camera that flies and turns, at constant speeds."""
+    """A ball that moves, and a camera that moves and rotates, at constant speeds."""
 
     def __init__(self, seed):
         rng = np.random.default_rng(seed)
@@ -50,7 +51,8 @@ class Moving:
         return moved, replace(view, position=t * self.camera, rotation=turned(t * self.turn))
 
     def picture(self, time, rows, columns):
-        """Colours 0 (nothing), 1 (the ball), 2 (the card) at pixel coordinates, by intersection."""
+        """Return the colours 0 (nothing), 1 (the ball) and 2 (the card) at pixel coordinates, by
+        intersection."""
         x = (columns - (SHAPE[1] - 1) / 2) * PITCH / FOCAL
         y = (rows - (SHAPE[0] - 1) / 2) * PITCH / FOCAL
         d = np.stack([x, y, np.ones_like(x)], -1) @ turned(time * self.turn)
@@ -79,8 +81,8 @@ def rows_of(motion, sensor=SENSOR, view=None, moments=4):
 
 
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(60), marks=pytest.mark.slow)])
-def test_no_outline_moves_farther_than_its_place(seeds):
-    """What a pixel sees at any moment is seen at rest within `place` pixels of it."""
+def test_no_outline_moves_farther_than_its_bound(seeds):
+    """The colour that a pixel sees at any moment is visible at rest within `place` pixels of it."""
     rng = np.random.default_rng(0)
     for seed in seeds:
         motion = Moving(seed)
@@ -96,7 +98,7 @@ def test_no_outline_moves_farther_than_its_place(seeds):
             around = motion.picture(
                 0.0, r[:, None] + reach * np.sin(angle), c[:, None] + reach * np.cos(angle)
             )
-            # the outermost ring of samples stands a little inside of the place
+            # the outermost ring of samples is slightly inside the distance `place`
             here = (around == seen[:, None]).any(1)
             wider = motion.picture(
                 0.0,
@@ -106,8 +108,8 @@ def test_no_outline_moves_farther_than_its_place(seeds):
             assert (here | (wider == seen[:, None]).any(1)).all()
 
 
-def test_the_place_is_no_more_than_a_few_times_what_moves():
-    """A ball that flies sideways: its centre moves by v t z_i / (z p) pixels."""
+def test_the_bound_on_displacement_is_at_most_a_few_times_too_large():
+    """The centre of a ball that moves sideways moves by v t z_i / (z p) pixels."""
     motion = Moving(0)
     motion.ball = np.array([5.0, 0.0, 0.0])
     last = moments_of(SENSOR, SHAPE[0], 4)[-1]
@@ -142,7 +144,7 @@ def test_a_shutter_reaches_as_far_as_both_exposures():
     ],
     ids=["light", "kinds", "through the card"],
 )
-def test_what_is_more_than_a_change_of_places_is_kept(motion):
+def test_a_motion_that_changes_more_than_positions_is_kept(motion):
     row = rows_of(motion)["motion"]
     assert row.drop is None
     assert row.effect.place == math.inf

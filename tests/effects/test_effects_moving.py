@@ -1,4 +1,4 @@
-"""What a motion brings, takes away, or names: pruned captures against full ones."""
+"""Tests motions that add, remove or name things: pruned captures against full ones."""
 
 from dataclasses import replace
 
@@ -31,7 +31,8 @@ def glow(scene, view, time):
 
 
 def lend(scene, view, time):
-    """The ball's material is the floor's, and it comes into view: k_s counts where it is not."""
+    """Give the ball the floor's material and move it into view. Its k_s then matters although it
+    did not before."""
     ball = replace(BALL, material=scene.surfaces[0].material, shape=jv.Sphere([0, 0, 0.3], 0.2))
     return replace(scene, surfaces=(scene.surfaces[0], ball)), view
 
@@ -45,7 +46,7 @@ def slide(scene, view, time):
     ("motion", "part"), [(gloss, "material"), (glow, "emission"), (lend, "material")]
 )
 @pytest.mark.parametrize(("allowed", "moments"), [("0DN", 2), ("50DN", 1)])
-def test_what_a_motion_writes_stays(motion, part, allowed, moments):
+def test_fields_set_by_a_motion_are_kept(motion, part, allowed, moments):
     asked = {"motion": motion, "moments": moments}
     full = jv.capture(None, SCENE, CAMERA, **asked)
     small = jv.capture(None, SCENE, CAMERA, tolerance=allowed, **asked)
@@ -56,7 +57,7 @@ def test_what_a_motion_writes_stays(motion, part, allowed, moments):
     assert not any(name.startswith(f"surfaces[0].{part}") for name in gone)
 
 
-def test_what_only_moves_loses_its_faint_gloss():
+def test_a_pure_displacement_can_lose_faint_gloss():
     left = effects.prune(SCENE, CAMERA, "50DN", motion=slide, moments=2)
     assert "surfaces[0].material.specular" in {e.name for e in left.certificate.dropped}
 

@@ -1,5 +1,5 @@
-"""Effects that reach beyond one pixel or one sample of it, and lamps that only hide: what bounds
-promise against pictures."""
+"""Tests bounds of effects that reach beyond one pixel or one sample, and of lamps that only
+occlude, against pictures."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def on_sensor(sensor, brightest, shape):
 
 
 @pytest.mark.parametrize("blooming", [0.5, 0.9, 1.0])
-def test_what_overflows_gathers_in_the_pixels_between(blooming):
+def test_overflowing_charge_accumulates_in_pixels_between(blooming):
     """A dark pixel at the end of a column that is just full receives some of every change."""
     rows, brightest = 64, 1015.0
     light = jnp.full((rows, 1, 1), brightest).at[0].set(0)
@@ -47,8 +47,9 @@ def test_what_overflows_gathers_in_the_pixels_between(blooming):
     assert dimmer <= response.dn(np.array([0.02 * brightest]), frozenset()) + rounding
 
 
-def test_wells_that_are_filled_on_the_way_pass_all_of_a_change_on():
-    """A bright pixel in a column with little room, and one dark pixel at its end."""
+def test_full_wells_pass_on_a_change_completely():
+    """A bright pixel is in a column with little remaining capacity, with one dark pixel at its
+    end."""
     light = jnp.full((14, 1, 1), 9.9).at[0].set(0).at[13].set(20.0)
     sensor = s.Sensor(dark_current=0.004, full_well=10.0, blooming=1.0, gain=1.0)
     whole = jv.raw_image(None, sensor, light)
@@ -68,8 +69,8 @@ def test_wells_that_are_filled_on_the_way_pass_all_of_a_change_on():
     ],
 )
 @pytest.mark.parametrize("kind", ["hot_pixels", "dead_pixels"])
-def test_rare_pixels_count_those_that_they_change(more, kind):
-    """Numbers that differ in pictures, of four dies."""
+def test_rare_pixels_include_the_neighbours_that_they_change(more, kind):
+    """The reference counts the pixels that differ in pictures of four dies."""
     shape, fraction = (40, 40), 2e-3
     sensor = s.Sensor(gain=1.0, **more)
     rare = {"hot_pixels": s.HotPixels(fraction, 5e3), "dead_pixels": fraction}[kind]
@@ -80,14 +81,15 @@ def test_rare_pixels_count_those_that_they_change(more, kind):
     frames = jax.vmap(lambda die: jv.raw_image(None, sensor, light, die_key=die))(dies)
     differ = float(jnp.mean(jnp.sum(jnp.abs(frames - clean[None]) > 1e-2, axis=(1, 2, 3))))
     promised = on_sensor(sensor, 900.0, shape)[0][f"sensor.{kind}"].rare
-    assert 1 < differ <= 1.5 * promised  # the dies hold 13 such pixels on average, give or take 4
+    assert 1 < differ <= 1.5 * promised  # the dies have 13 +- 4 such pixels on average
     assert more or promised == pytest.approx(fraction * 1600)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["rim", "distortion"])
 def test_a_lens_is_bounded_at_all_samples_of_a_pixel(part):
-    """Its corners lie farther out than its middle, where the rim still passes all."""
+    """The corners of a pixel are farther out than its centre, where the rim still blocks
+    nothing."""
     n = 4
     parts = {
         "rim": {"rim": s.Rim(0.02, 0.0165), "resolution": (2, 2)},
@@ -113,7 +115,7 @@ def test_a_lens_is_bounded_at_all_samples_of_a_pixel(part):
 
 @pytest.mark.slow
 def test_a_dark_lamp_hides_the_sky_in_a_mirror():
-    """As a place it would not, so that it stays a rectangle."""
+    """As a point it would not hide the sky, so it must stay a rectangle."""
     mirror = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Mirror([0.9]))
     lamp = jv.RectangleLight([-0.5, -0.5, 2], [0, 1, 0], [1, 0, 0], [0.0])
     scene = jv.Scene(mirror, [lamp, jv.environment_map(np.ones((4, 8, 1)))])
@@ -126,8 +128,9 @@ def test_a_dark_lamp_hides_the_sky_in_a_mirror():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("shape", "least"), [("card", 0.5), ("ball", 0.0)])
-def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
-    """Of lamps all about, by pictures in NumPy: what may be left out is in no mirror."""
+def test_a_mirror_shows_the_lamps_in_the_reflected_direction(shape, least):
+    """Lamps are in all directions, and the pictures are from NumPy. A lamp that may be left out is
+    in no mirror."""
     made = {
         "card": jv.Quad([-0.3, -0.3, 0], [0.6, 0, 0], [0, 0.6, 0]),
         "ball": jv.Sphere([0, 0, 0], 0.3),
@@ -154,8 +157,8 @@ def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
 
 
 @pytest.mark.slow
-def test_an_opening_that_may_change_stays_that_of_the_lens():
-    """A pinhole's f-number is the working one, which a lens in focus at 10 f exceeds by a ninth."""
+def test_a_free_aperture_stays_that_of_the_lens():
+    """A pinhole has the working f-number, which for a lens focused at 10 f is larger by a ninth."""
     card = jv.Surface(jv.Quad([-0.3, -0.3, 0.5], [0, 0.6, 0], [0.6, 0, 0]), jv.Lambert([0.3]))
     scene = jv.Scene(card, jv.PointLight([0, 0, 0], [1.0]))
     view = jv.ThinLens(

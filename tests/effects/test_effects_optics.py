@@ -1,4 +1,4 @@
-"""Bounds on the parts of a lens, against pictures in plain NumPy (`oracles.lenses`)."""
+"""Tests bounds on the parts of a lens against pictures in plain NumPy (`oracles.lenses`)."""
 
 import math
 from dataclasses import fields, replace
@@ -38,14 +38,14 @@ def distance_to_sensor(focus=2.0):
 
 
 def brightness(u, f_number=4.0, focus=2.0):
-    """pi / 4 (d / z_i)^2 cos^4 of each pixel."""
+    """Return pi / 4 (d / z_i)^2 cos^4 for each pixel."""
     open_ = math.pi / 4 * (FOCAL / f_number / distance_to_sensor(focus)) ** 2
     return open_ * (1 + (u**2).sum(0)) ** -2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
-def test_a_rim_takes_no_more_than_its_bound(seed):
+def test_the_light_blocked_by_a_rim_is_within_its_bound(seed):
     rng = np.random.default_rng(seed)
     ahead, radius = rng.uniform(0.005, 0.04), rng.uniform(0.006, 0.012)
     rows, on_sensor = rows_of(lens(rim=s.Rim(ahead, 2 * radius)), [3.0])
@@ -64,8 +64,9 @@ def test_a_rim_that_cuts_nothing_is_proved_to():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
-def test_distortion_moves_light_no_farther_than_its_place(seed):
-    """Rays traced by another iteration; the brightness by a numerical derivative."""
+def test_distortion_moves_light_by_at_most_its_bound(seed):
+    """The reference traces rays with another iteration, and gets the brightness from a numerical
+    derivative."""
     rng = np.random.default_rng(seed)
     radial = rng.uniform(-0.2, 0.3, 2) * [1, 0.5]
     tangential = rng.uniform(-0.01, 0.01, 2)
@@ -92,8 +93,8 @@ def test_distortion_of_zeros_is_exact():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [5.0, 11.0])
-def test_diffraction_moves_no_pixel_by_more(n):
-    """Random pictures and the worst one, a lit pixel in the dark."""
+def test_diffraction_changes_no_pixel_by_more_than_its_bound(n):
+    """The pictures are random ones and the worst case, one lit pixel in the dark."""
     view = s.ThinLens(np.zeros(3), np.eye(3), 0.05, 4e-6, resolution=SHAPE, f_number=n)
     view = replace(view, diffraction=s.Diffraction([6e-7, 4.5e-7], size=9))
     rows, on_sensor = rows_of(view, [5.0, 1.0])
@@ -106,14 +107,15 @@ def test_diffraction_moves_no_pixel_by_more(n):
         for picture in (rng.uniform(0, 1, SHAPE), spot, 1 - spot):
             blurred = ndimage.convolve(picture, kernel, mode="nearest")
             worst = max(worst, np.abs(blurred - picture).max() * on_sensor.irradiance[band])
-        assert worst <= rows["view.diffraction"].amount[band] * (1 + 1e-3)  # of both quadratures
+        assert worst <= rows["view.diffraction"].amount[band] * (1 + 1e-3)  # quadratures
         assert rows["view.diffraction"].amount[band] <= 1.01 * worst
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("terms", [{4: 80e-9}, {4: 60e-9, 8: 90e-9}, {2: 150e-9, 11: 120e-9}])
-def test_aberrations_move_no_pixel_by_more(terms):
-    """Against sums over the pupil at 5 x 5 places of each pixel; the worst is a lit pixel."""
+def test_aberrations_change_no_pixel_by_more_than_their_bound(terms):
+    """The reference sums over the pupil at 5 x 5 positions in each pixel. The worst case is one lit
+    pixel."""
     wave, n, pitch, size = 6e-7, 8.0, 4e-6, 9
     coefficients = np.array([terms.get(j, 0.0) for j in range(1, 12)])
     view = s.ThinLens(np.zeros(3), np.eye(3), 0.05, pitch, resolution=SHAPE, f_number=n)
@@ -138,15 +140,15 @@ def test_aberrations_move_no_pixel_by_more(terms):
     spot[6, 8] = 1.0
     blurred = [(ndimage.convolve(p, kernel, mode="nearest"), p) for p in (spot, 1 - spot)]
     worst = max(np.abs(b - p).max() for b, p in blurred) * on_sensor.irradiance[0]
-    assert worst <= rows["view.diffraction"].amount[0] * (1 + 1e-3)  # of both quadratures
+    assert worst <= rows["view.diffraction"].amount[0] * (1 + 1e-3)  # quadratures
     assert rows["view.diffraction"].amount[0] <= 1.01 * worst
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("ends", [(1.8, 5.4), (20.0, 60.0), (0.7, 70.0)])
-def test_diffraction_of_an_opening_that_may_change(ends):
-    """Pictures of a lit pixel at 9 openings between the ends, of patterns from far below a pixel to
-    two of them."""
+def test_diffraction_of_a_free_aperture(ends):
+    """The pictures are of one lit pixel at 9 f-numbers in the range, for patterns from far below a
+    pixel to two pixels."""
     spot = jnp.zeros((*SHAPE, 1)).at[6, 8].set(1.0)
     views = [lens(f_number=n, diffraction=s.Diffraction(5.5e-7, size=9)) for n in ends]
     low, high = (replace(view, pixel_pitch=2e-5, focus_distance=None) for view in views)
@@ -161,13 +163,13 @@ def test_diffraction_of_an_opening_that_may_change(ends):
     most = 1 - middle_pixel_share(np.array(5.5e-7 * ends[1] / 2e-5))
     open_widest = math.pi / 4 / ends[0] ** 2
     assert row.amount[0] <= open_widest * most + open_widest * 3e-5
-    if ends[1] < 10 * ends[0]:  # what is widest open is least spread
+    if ends[1] < 10 * ends[0]:  # the pattern is narrowest at the widest aperture
         assert row.amount[0] <= (ends[1] / ends[0]) ** 2 * 1.1 * worst
 
 
 @pytest.mark.parametrize("width", [0.02, 0.3, 1.0, 4.0])
 def test_share_of_airys_pattern_on_a_pixel(width):
-    """Against the pattern itself, by quadrature over a quarter of the pixel."""
+    """The reference integrates the pattern by quadrature over a quarter of the pixel."""
 
     def in_row(y):
         x = lambda r: math.pi * r / width  # noqa: E731
@@ -187,9 +189,9 @@ def test_share_of_airys_pattern_on_a_pixel(width):
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(100), marks=pytest.mark.slow)])
-def test_defocus_averages_what_stands_within_its_place(seeds):
-    """Pictures of a painted plane and of a half plane before it, traced ray by ray through the lens
-    in NumPy: each pixel lies between the extremes of the sharp picture within `place` pixels."""
+def test_a_defocused_pixel_is_between_the_extremes_within_its_bound(seeds):
+    """A painted plane and a half plane in front of it are traced through the lens in NumPy. Each
+    pixel is between the extremes of the sharp picture within `place` pixels."""
     ratios = []
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -201,11 +203,11 @@ def test_defocus_averages_what_stands_within_its_place(seeds):
         place = place.effect.place
         image = distance_to_sensor(focus)
         points = lenses.disc(FOCAL / f_number / 2, rings=6)
-        edge = rng.uniform(-2, 2) * pitch / image  # of the near half plane, a slope
+        edge = rng.uniform(-2, 2) * pitch / image  # of the near half plane, as a slope
         stripes = rng.uniform(2, 8) * pitch / image
 
         def colour(slope, at, edge=edge, stripes=stripes, depths=depths):
-            """Radiance of the point seen by a ray at both depths, given as slopes."""
+            """Return the radiance seen by a ray, given as slopes at both depths."""
             near = slope[0][..., 0] < edge
             return np.where(near, 5.0, (slope[1][..., 1] / stripes) % 1)
 
@@ -237,20 +239,20 @@ def test_a_lens_that_hardly_blurs_becomes_a_pinhole_as_bright():
     assert float(hole.focal_length) == pytest.approx(distance_to_sensor())
 
 
-def test_what_touches_the_lens_is_kept():
+def test_surfaces_that_touch_the_lens_are_kept():
     row = rows_of(lens(), near=0.0, samples=SAMPLES)[0]["view.defocus"]
     assert row.drop is None
     assert row.effect.place == math.inf
 
 
 @pytest.mark.slow
-def test_a_rim_must_go_before_the_lens_it_sits_on():
+def test_a_rim_is_dropped_before_its_lens():
     view = lens(rim=s.Rim(0.01, 0.2), diffraction=s.Diffraction(5e-7, size=3))
     row = rows_of(view, samples=SAMPLES)[0]["view.defocus"]
     assert row.needs == {"view.rim", "view.diffraction"}
 
 
-def test_defocus_holds_over_the_box_of_what_may_change():
+def test_defocus_is_bounded_over_the_box_of_free_parameters():
     rng = np.random.default_rng(4)
     low, high = lens(f_number=2.0, focus_distance=1.0), lens(f_number=8.0, focus_distance=4.0)
     most = defocus(Ends(low, high), 0.7, 30.0)
@@ -274,8 +276,8 @@ def test_oversampling_and_samples_stay_within_a_pixel():
 
 
 def test_every_field_of_a_view_has_its_row_or_cannot_be_dropped():
-    """Where the camera stands and looks, how much it sees, how finely and how brightly; what a lens
-    focuses goes with its defocus."""
+    """Position, direction, field of view, resolution and exposure of a camera cannot be dropped.
+    The focus of a lens is dropped with its defocus."""
     place = {"position", "rotation", "pixel_pitch", "resolution", "focal_length"}
     kept = place | {"f_number", "focus_distance", "aperture"}
     for view in (s.Pinhole, s.ThinLens, s.Orthographic):
@@ -285,8 +287,8 @@ def test_every_field_of_a_view_has_its_row_or_cannot_be_dropped():
 
 
 @pytest.mark.slow
-def test_light_that_is_not_bounded_keeps_the_rim():
-    """Trap 7: infinity times a rounded 0 never drops anything."""
+def test_the_rim_is_kept_if_the_light_has_no_bound():
+    """Trap 7: infinity times a rounded 0 must not drop anything."""
     row = rows_of(lens(rim=s.Rim(0.03, 0.012)), [math.inf])[0]["view.rim"]
     assert row.effect.bound == math.inf
     assert row.drop is None

@@ -1,5 +1,5 @@
-"""What effects change in light that goes from surface to surface, against closed forms, sums over
-small patches in NumPy, and the path tracer."""
+"""Tests how effects change light between surfaces, against closed forms, sums over small patches in
+NumPy, and the path tracer."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def view_from(place, rotation=DOWN):
 
 
 def toward(place, target):
-    """Rows right, down and forward."""
+    """Return the rows right, down and forward of a rotation."""
     forward = np.subtract(target, place) / np.linalg.norm(np.subtract(target, place))
     right = np.cross(forward, [0, 0, 1.0])
     right = right / np.linalg.norm(right)
@@ -31,13 +31,13 @@ def toward(place, target):
 
 
 def bounds(surfaces, lights, view, depth):
-    """By name; of "bounces" that of the longest paths alone."""
+    """Return the bounds by name. For "bounces" it is the bound of the longest paths only."""
     found = effects.inspect(jv.Scene(surfaces, lights), view, depth=depth)
     return {effect.name: effect.bound for effect in found}
 
 
 def patches(corner, u, v, side):
-    """(side^2, 3) middles of the patches of a rectangle, and the area of each."""
+    """Return the centres, (side^2, 3), of the patches of a rectangle, and the area of each."""
     t = (np.arange(side) + 0.5) / side
     s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
     area = np.linalg.norm(np.cross(u, v)) / side**2
@@ -45,8 +45,8 @@ def patches(corner, u, v, side):
 
 
 @pytest.mark.parametrize("depth", [2, 3, 4, 5])
-def test_what_is_emitted_is_reflected_in_each_further_piece(depth):
-    """Two plates that face each other, of which the roof, out of view, shines."""
+def test_emission_is_reflected_in_each_further_segment(depth):
+    """Two plates face each other. The roof, which is out of view, emits."""
     floor, roof = ([-0.5, -0.5, z] for z in (0.0, 1.0))
     side, area = 12, 1 / 144
     below, _ = patches(floor, [1, 0, 0], [0, 1, 0], side)
@@ -75,23 +75,24 @@ IN_A_BRIGHT_BALL = [
 
 
 @pytest.mark.parametrize(("material", "field", "change"), IN_A_BRIGHT_BALL)
-def test_lobes_and_rough_facets_reflect_what_surfaces_emit(material, field, change):
-    """Under even light of radiance 1, seen along the normal."""
+def test_lobes_and_rough_facets_reflect_emitted_light(material, field, change):
+    """The irradiance is from a uniform radiance of 1, and the view along the normal."""
     plate = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 0.1), material)
     ball = jv.Surface(jv.Sphere([0, 0, 0], 2.0), jv.Lambert([0.0]), [1.0], two_sided=True)
     found = bounds([plate, ball], [], view_from([0, 0, 1]), 2)
     assert change <= found[f"surfaces[0].material.{field}"] * (1 + 1e-9)
 
 
-def test_a_narrow_lobe_gathers_what_a_small_bright_surface_reflects():
-    """A lamp shines up at a small roof, and the lobe of the floor reflects that: in the middle,
-    seen from above, k_s (n + 2) / (2 pi) cos^n times cos over the roof's patches."""
+def test_a_narrow_lobe_collects_the_light_of_a_small_bright_surface():
+    """A lamp shines up at a small roof, whose light the floor's lobe reflects. In the centre, seen
+    from above, the radiance is the sum over the roof's patches of k_s (n + 2) / (2 pi) cos^n times
+    the cosine."""
     n, k_s, width = 3000.0, 0.9, 0.2
     lamp = np.array([0, 0, 1.0])
     corner = [-width / 2, -width / 2, 2.0]
     places, area = patches(corner, [width, 0, 0], [0, width, 0], 300)
     from_lamp = np.linalg.norm(places - lamp, axis=1)
-    roof = DULL / from_lamp**4  # height 1: cos = 1 / r at both ends
+    roof = DULL / from_lamp**4  # at height 1, cos = 1 / r at both ends
     apart = np.linalg.norm(places, axis=1)
     cos = 2 / apart
     lobe = k_s * (n + 2) / (2 * np.pi) * cos ** (n + 1)
@@ -108,9 +109,9 @@ def test_a_narrow_lobe_gathers_what_a_small_bright_surface_reflects():
     assert seen <= found["lights[0]"]
 
 
-def test_a_lobe_that_is_turned_away_from_the_eye_lights_what_the_eye_sees():
-    """A small glossy floor throws a lamp's light on a dull wall, of which alone the picture is:
-    the wall's middle, by patches of the floor."""
+def test_a_lobe_that_points_away_from_the_eye_lights_what_is_seen():
+    """A small glossy floor reflects a lamp onto a matte wall, the only thing in view. The reference
+    sums over patches of the floor for the wall's centre."""
     n, k_s, width = 300.0, 0.9, 0.5
     lamp, wall = np.array([-1.0, 0, 1]), np.array([1.0, 0, 1])
     facing = np.array([-1.0, 0, -1]) / np.sqrt(2)
@@ -141,9 +142,10 @@ def test_a_lobe_that_is_turned_away_from_the_eye_lights_what_the_eye_sees():
     assert seen <= found["lights[0]"]
 
 
-def test_glass_about_the_eye_or_of_a_low_index_adds_to_radiance():
-    """Within a body of index n radiance is up to n^2 times that outside, and where light leaves a
-    bubble of index n < 1, up to 1 / n^2 times; through a ball of glass it is at most the same."""
+def test_glass_around_the_eye_or_of_a_low_index_increases_radiance():
+    """Inside a body of index n the radiance is up to n^2 times the outside one. For light that
+    leaves a bubble of index n < 1 the factor is up to 1 / n^2, and through a glass ball at most
+    1."""
     sky = jv.environment_map(np.ones((4, 8, 1)))
 
     def of_sky(index, place):
@@ -160,8 +162,8 @@ def test_glass_about_the_eye_or_of_a_low_index_adds_to_radiance():
 
 
 def of_random_records(seed):
-    """A floor, a wall and two balls of all families of lobes and bodies, some of which shine, and a
-    lamp; always of one structure, so that one program draws them."""
+    """Return a floor, a wall and two balls with random lobes and bodies, some of which emit, and a
+    lamp. The structure is always the same, so that one program renders all."""
     rng = np.random.default_rng(seed)
     some = lambda most: rng.uniform(0, most, 1) * rng.choice([1, 1, 1e-3])  # noqa: E731
     shine = lambda: rng.choice([0, 1, 1e-2]) * rng.uniform(0.5, 1, 1)  # noqa: E731
@@ -182,7 +184,7 @@ def of_random_records(seed):
 
 
 def without(scene, name):
-    """The scene with one effect at 0."""
+    """Return the scene with one effect set to 0."""
     surfaces, lights = list(scene.surfaces), list(scene.lights)
     if name == "lights[0]":
         return replace(scene, lights=(replace(lights[0], intensity=0 * lights[0].intensity),))
@@ -203,14 +205,15 @@ def drawn(scene, view, depth):
 
 
 def surely_changed(full, small):
-    """The largest change of a pixel beyond five standard errors."""
+    """Return the largest change of a pixel beyond five standard errors."""
     error = np.hypot(full.error, small.error)
     return np.max(np.abs(full.radiance - small.radiance) - 5 * error)
 
 
 @pytest.mark.slow
 def test_random_scenes_by_paths():
-    """Each effect alone, and all that goes at three tolerances: the path tracer with these at 0."""
+    """Effects are set to 0 one by one, and all droppable ones at three tolerances, in the path
+    tracer."""
     changed = 0
     for seed in range(12):
         scene, view, depth = of_random_records(seed)
@@ -246,8 +249,8 @@ SHEETS = [
 
 
 @pytest.mark.parametrize("sheet", SHEETS, ids=lambda sheet: type(sheet).__name__)
-def test_an_open_sheet_of_glass_that_is_met_from_behind(sheet):
-    """Radiance over the square of the index is kept."""
+def test_an_open_sheet_of_glass_that_is_hit_from_behind(sheet):
+    """Radiance divided by the square of the index is conserved."""
     n, a, way = 1.33, 0.3, 5.0
     seen = n**2 * (1 - ((n - 1) / (n + 1)) ** 2)
     wall = jv.Surface(
@@ -262,7 +265,7 @@ def test_an_open_sheet_of_glass_that_is_met_from_behind(sheet):
 
 
 def hundredth(sheet):
-    """A hundredth of a shape."""
+    """Return a shape scaled by a hundredth."""
     match sheet:
         case jv.Quad():
             return jv.Quad(
@@ -277,4 +280,4 @@ def test_a_ball_of_glass_adds_no_light():
     wall = jv.Surface(jv.Quad([-9, -9, 5], [0, 18, 0], [18, 0, 0]), jv.Lambert([0.0]), [1.0])
     ball = jv.Surface(jv.Sphere([0, 0, 2.0], 0.5), jv.Glass(1.5))
     found = bounds([ball, wall], [], view_from([0, 0, -2.0], np.eye(3)), 3)
-    assert 1 <= found["surfaces[1].emission"] <= 2 + 1e-9  # at most once by each further piece
+    assert 1 <= found["surfaces[1].emission"] <= 2 + 1e-9  # at most once per further segment

@@ -1,5 +1,5 @@
-"""A bound of each stage that the truth comes near to: half of it would be caught. Those of scene
-and sensor are in `test_effects` and `test_effects_sensor`, that of a motion in
+"""Tests bounds that the true change nearly reaches, so that half of the bound would be caught.
+Those of scene and sensor are in `test_effects` and `test_effects_sensor`, and of a motion in
 `test_effects_motion`."""
 
 from dataclasses import replace
@@ -26,13 +26,13 @@ DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 
 
 def caught(change, bound):
-    """The bound holds, and half of it does not."""
+    """Return whether the bound holds and half of it does not."""
     return 0.5 * bound < change <= bound * (1 + 1e-6)
 
 
-def test_of_bounces_in_a_closed_sphere():
-    """Everything shines L and reflects rho: k more pieces add L rho^k, which the bound may not
-    undercut, and does not exceed."""
+def test_bound_on_bounces_in_a_closed_sphere():
+    """Every surface emits L and reflects rho. Then k more segments add L rho^k, which the bound
+    must equal."""
     grey, depth = jv.Lambert([0.7 / np.pi]), 9
     wall = jv.Surface(jv.Sphere([0, 0, 0], 1.0), grey, [0.5], two_sided=True)
     scene = jv.Scene(wall, [])
@@ -43,7 +43,7 @@ def test_of_bounces_in_a_closed_sphere():
 
 
 @pytest.mark.slow
-def test_of_diffraction_on_a_lit_pixel():
+def test_bound_on_diffraction_of_a_lit_pixel():
     bare = s.ThinLens(np.zeros(3), np.eye(3), 0.05, 4e-6, resolution=(7, 7), f_number=8.0)
     view = replace(bare, diffraction=s.Diffraction(6e-7, size=5))
     rows, _ = optics_stage(Ends(view, view), Arriving(np.array([2.0]), 1.0, np.inf, np.zeros(1)))
@@ -53,15 +53,16 @@ def test_of_diffraction_on_a_lit_pixel():
     assert caught(float(change), bound)
 
 
-def test_of_a_development():
+def test_bound_on_a_development():
     steps = s.Development(black_level=60.0, white_level=1000.0, white_balance=s.WhiteBalance([2.0]))
     raw = jnp.full((3, 3, 1), 200.0)
     moved = np.abs(develop(raw + 1, steps) - develop(raw, steps)).max()
     assert caught(float(moved), lipschitz(steps).value)
 
 
-def test_of_probes_where_light_falls_by_one_factor():
-    """The tail of a geometric series, exactly; none where light does not fall, or is none."""
+def test_extrapolated_tails_of_a_geometric_series():
+    """The tail is the geometric series exactly. It is infinite if the light does not decrease, and
+    zero without light."""
     own = np.random.default_rng(0).uniform(0.5, 1, (4, 4, 1)) * [1.0, 2.0]
     n, depth, r = 4, 12, 0.6
     shown = [own * (1 - r**k) / (1 - r) for k in (n, n + 1, n + 2)]
@@ -74,8 +75,9 @@ def test_of_probes_where_light_falls_by_one_factor():
 
 
 @pytest.mark.slow
-def test_long_paths_go_by_an_estimate_that_is_no_proof():
-    """In the Cornell box, by a picture of other paths; the proof alone keeps more pieces."""
+def test_long_paths_are_cut_by_an_unproved_estimate():
+    """In the Cornell box, the estimate holds for a picture of other paths. The proof alone keeps
+    more segments."""
     source = jv.files.scenes.read_scene("cornell_box")
     whole = effects.prune(source.scene, source.view, "5%", depth=40, estimates=True)
     assert whole.certificate.estimated > 0

@@ -1,4 +1,4 @@
-"""What materials and skies send at most, by angles and by integrals in NumPy."""
+"""Tests bounds on the light from materials and skies, by angles and by integrals in NumPy."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def suprema(material):
 @pytest.mark.parametrize("form", ["qualitative", "full", "eon"])
 @pytest.mark.parametrize("sigma", [0.0, 0.003, 0.1, 0.5, 1.0])
 def test_rough_bodies_stay_below_their_bound_down_to_the_horizon(sigma, form):
-    """Toward the horizon f_r grows as the cosine falls, so that no bound on f_r alone holds."""
+    """Towards the horizon f_r grows as the cosine falls, so a bound on f_r alone cannot hold."""
     rng = np.random.default_rng(0)
     material = jv.EON([0.2], sigma) if form == "eon" else jv.OrenNayar([0.2], sigma, form=form)
     by_angles = eon if form == "eon" else oren_nayar
@@ -57,8 +57,8 @@ def test_rough_bodies_stay_below_their_bound_down_to_the_horizon(sigma, form):
 
 
 @pytest.mark.parametrize("material", FAMILIES)
-def test_a_lobe_sends_no_more_than_its_size(material):
-    """Its integral over an even sky, by nodes close about the mirror direction."""
+def test_a_lobe_reflects_at_most_its_size(material):
+    """The integral over a uniform sky uses nodes concentrated around the mirror direction."""
     steps = 240
     off, turn = np.pi * ((np.arange(steps) + 0.5) / steps) ** 2, 2 * np.pi * np.arange(48) / 48
     weight = (
@@ -79,7 +79,7 @@ def test_a_lobe_sends_no_more_than_its_size(material):
 
 
 def test_skies_add_where_they_are_seen():
-    """A pixel that meets nothing shows all skies."""
+    """A pixel without a surface shows all skies."""
     skies = [jv.lights.environment_map(np.full((3, 6, 2), 1.0) * s) for s in ([1.0, 2], [3.0, 1])]
     ball = jv.Surface(jv.Sphere([0, 0, 5], 0.1), jv.Lambert([0.1, 0.1]))
     view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 0.01, resolution=(4, 4))
@@ -99,7 +99,8 @@ def test_skies_add_where_they_are_seen():
     "exponents", [(0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.1, 2.0), (1.0, 1.5), (1.5, 2.5)]
 )
 def test_the_slope_of_a_power_of_a_cosine(family, exponents):
-    """Differences of cos^n over 2e5 angles, for exponents between the ends: below 1 no slope."""
+    """The reference takes differences of cos^n over 2e5 angles, for exponents in the range. Below 1
+    the slope is infinite."""
     slope = reflection_of(Ends(*(family([0.0], [1.0], n) for n in exponents))).lobe.slope
     theta = np.linspace(0, np.pi / 2, 200_001)
     with np.errstate(invalid="ignore"):
@@ -113,8 +114,9 @@ def test_the_slope_of_a_power_of_a_cosine(family, exponents):
         assert scale * max(steepest) * (1 - 1e-6) <= slope <= scale * (max(steepest) + 1.01)
 
 
-def test_a_broad_lobe_that_ends_across_a_lamp():
-    """cos^n of the mirror angle with n = 0.1, half of the lamp beyond its end."""
+def test_a_broad_lobe_whose_edge_crosses_a_lamp():
+    """The lobe is cos^n of the mirror angle with n = 0.1, and half of the lamp is beyond its
+    end."""
     n, side, far = 0.1, 2.0, 100.0
     polar = np.radians(60)
     to_lamp, tilt = (

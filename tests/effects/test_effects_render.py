@@ -1,4 +1,5 @@
-"""Pruned scenes through `render`: the promise, equality at tolerance 0, smaller programs."""
+"""Tests pruned scenes in `render`: the promised error, equality at tolerance 0, and smaller
+programs."""
 
 from dataclasses import replace
 
@@ -28,8 +29,9 @@ def pruned(scene, tolerance="1%"):
 
 
 @pytest.mark.slow
-def test_what_was_dropped_left_nothing_in_the_program():
-    """No search without occluders, no exponential without a lobe, one band where one tells all."""
+def test_dropped_effects_leave_nothing_in_the_program():
+    """There is no search without occluders, no exponential without a lobe, and one band instead of
+    equal ones."""
     ramp = np.linspace(0.1, 1, 31)
     glossy = jv.Surface(FLOOR.shape, jv.GaussianLobe(0.1 * ramp, 1e-9 * ramp, 5.0))
     second = jv.Surface(jv.Sphere([0, 0, 9], 0.1), jv.Lambert(0.1 * ramp))
@@ -43,8 +45,8 @@ def test_what_was_dropped_left_nothing_in_the_program():
     assert effects.equations(left.scene, VIEW) < 0.6 * effects.equations(scene, VIEW)
 
 
-def test_10_what_a_loop_costs_is_not_read_off_flops():
-    """XLA counts a loop's body once, however often it runs."""
+def test_10_the_cost_of_a_loop_is_not_the_flops_of_xla():
+    """XLA counts the body of a loop once, however often it runs."""
 
     def looped(times):
         compiled = jax.jit(lambda x: jax.lax.fori_loop(0, times, lambda _, y: y * y + 1, x))
@@ -80,11 +82,11 @@ def test_random_scenes_through_render(seed):
     ):
         drawn = picture(*jax.tree.map(np.asarray, (scene, view)))
         edges = np.abs(drawn - full).max(-1) > 1e-9 * full.max()
-        assert edges.mean() <= 0.02  # pixels at an edge, where rays start a rounding apart
+        assert edges.mean() <= 0.02  # edge pixels, whose rays differ by rounding
 
 
 def differing_at_0(seed, options):
-    """Units in the last place of the largest value by which what is exactly pruned differs."""
+    """Return the difference, in ULP of the largest value, after dropping provably idle effects."""
     scene, view = random_scene(seed)
     left = effects.prune(scene, view, effects.Tolerance(0.0, place=0), level=1.0)
     assert all(effect.rank == "exact" for effect in left.certificate.dropped)
@@ -98,7 +100,7 @@ def differing_at_0(seed, options):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20, 30))
 def test_tolerance_0_changes_nothing(seed):
-    """In programs whose every operation rounds by itself."""
+    """The programs round every operation separately."""
     assert differing_at_0(seed, FAST) <= 4
 
 
@@ -114,8 +116,8 @@ def test_hundreds_of_surfaces_are_inspected_at_once():
 
 
 @pytest.mark.slow
-def test_a_lobe_goes_unless_its_surface_would_be_a_kind_of_its_own():
-    """Lambert beside Phong is one program more than Phong alone."""
+def test_a_lobe_is_dropped_unless_its_surface_then_needs_its_own_program():
+    """Lambert and Phong together need one program more than Phong alone."""
     dull, shiny = (jv.Phong([0.2], [specular], 20.0) for specular in (0.0, 0.1))
     walls = [jv.Quad([x, -1, 0], [1, 0, 0], [0, 2, 0]) for x in (-1.0, 0.0)]
     left, right = (jv.Surface(wall, dull) for wall in walls)

@@ -1,5 +1,5 @@
-"""Every kind of light, material and shape is bounded, and every field of a scene has its place: a
-new one fails here until it has a row, or is said to be a quantity of what a row bounds."""
+"""Tests that every type of light, material and shape is bounded, and every field of a scene has a
+row or is a quantity that a row bounds. A new type or field fails here until it has one."""
 
 from dataclasses import fields
 
@@ -32,8 +32,8 @@ KINDS = {
     )
 }
 
-# Fields that hold an effect, and whose rows say so; all others are places, sizes and strengths of
-# what these rows bound.
+# Fields that are effects with rows. All others are positions, sizes and strengths that these rows
+# bound.
 ROWS = {
     "Scene": {"surfaces", "lights", "ambient", "occluders"},
     "Surface": {"material", "emission", "normals"},
@@ -124,8 +124,8 @@ def test_every_field_of_a_scene_has_its_row_or_is_a_quantity(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("depth", [None, 3])
-def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
-    """A mirror at 45 degrees shows half of a lamp of radiance 3, and the floor beside it."""
+def test_reflections_in_a_mirror_are_estimated_without_a_bound(depth):
+    """A mirror at 45 degrees reflects half of a lamp of radiance 3 next to the floor."""
     tilted = np.array([0, 1, 1]) / np.sqrt(2)
     mirror = jv.Surface(jv.Disc([0, 0, 0], tilted, 0.5), jv.Mirror([0.5]))
     lamp = jv.RectangleLight([-2, 3, -2], [4, 0, 0], [0, 0, 4], [3.0, 2.0, 1.0])  # faces -y
@@ -147,7 +147,8 @@ def test_what_a_mirror_shows_is_estimated_where_no_bound_is_known(depth):
 
 @pytest.mark.slow
 def test_a_ball_of_glass_is_estimated_in_all_bands():
-    """Black, it hides a floor that glows; clear, it shows at least nine tenths of the glow."""
+    """A black ball would hide a floor that emits. A clear one shows at least nine tenths of its
+    light."""
     glow = np.array([1.0, 2.0, 3.0])
     floor = jv.Surface(jv.Quad([-9, -9, -1], [18, 0, 0], [0, 18, 0]), jv.Lambert([0.0] * 3), glow)
     ball = jv.Surface(jv.Sphere([0, 0, 0], 0.5), jv.Glass(1.5))
@@ -159,7 +160,8 @@ def test_a_ball_of_glass_is_estimated_in_all_bands():
 
 @pytest.mark.slow
 def test_estimates_are_changes_of_the_picture():
-    """A lamp near a ball: its bound as a point is several times the picture's brightest pixel."""
+    """The bound of a lamp near a ball, as a point, is several times the brightest pixel of the
+    picture."""
     ball = jv.Surface(jv.Sphere([0, 0, 0.5], 0.5), jv.Phong([0.2], [0.4], 80.0))
     floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))
     lamp = jv.RectangleLight([-0.5, -0.5, 1.6], [0, 1, 0], [1, 0, 0], [5.0])

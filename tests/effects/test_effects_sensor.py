@@ -1,4 +1,5 @@
-"""Bounds on the effects of a sensor, against moments in plain NumPy (`oracles.sensor_moments`)."""
+"""Tests bounds on the effects of a sensor against moments in plain NumPy
+(`oracles.sensor_moments`)."""
 
 import math
 from dataclasses import fields, replace
@@ -19,18 +20,18 @@ from jaxvision.effects.sensor import BOUNDS, SCALES, sensor_stage
 from jaxvision.effects.sensor_charge import WHOLE, shares_along, transfer_shares
 from jaxvision.effects.stages import Ends
 
-ROUNDING = 1e-6  # DN, of the oracle: differences of squares of large numbers
-NOT_MOMENTS = {"sensor.blooming", "sensor.bits"}  # have tests of their own
+ROUNDING = 1e-6  # DN, of the oracle's differences of large squares
+NOT_MOMENTS = {"sensor.blooming", "sensor.bits"}  # have separate tests
 
 
 def rows_of(sensor, light, shape=SHAPE):
-    """Rows by name, and the response, for photons per pixel."""
+    """Return the rows by name, and the response, for light in photons per pixel."""
     rows, response = sensor_stage(Ends(sensor, sensor), np.array([np.max(light)]), shape=shape)
     return {row.effect.name: row for row in rows}, response
 
 
 def pixels(f):
-    """The kinds of pixels: those with a trap, hot ones, and others."""
+    """Yield the types of pixels: with a trap, hot, and others."""
     for trapped in {False, "telegraph" in f}:
         for hot in {False, "hot" in f}:
             yield {"trapped": trapped, "hot": hot}
@@ -49,10 +50,10 @@ def droppable(rows):
 
 
 def dropped(rows, tolerance):
-    """(names, promised DN): the least bounds first, each of what is left then."""
+    """Return (names, promised DN), dropping the effect with the smallest remaining bound first."""
     rows, gone, total = droppable(rows), frozenset(), 0.0
     first = sorted(rows, key=lambda name: rows[name].after(frozenset()))
-    for name in [*first, "sensor.full_well"]:  # a well waits for its blooming
+    for name in [*first, "sensor.full_well"]:  # the well is dropped after its blooming
         if name in gone or name not in rows or name == "sensor.bits":
             continue
         change = rows[name].after(gone)
@@ -62,7 +63,7 @@ def dropped(rows, tolerance):
 
 
 def check_sensor(seed, **kind):
-    """(promised / actual of all that was dropped, of each alone); nothing is exempt."""
+    """Return (promised / actual change) of all dropped effects together, and of each alone."""
     sensor, f, light, rng = draw(seed, **kind)
     electrons = light * float(sensor.quantum_efficiency)
     rows, response = rows_of(sensor, light)
@@ -87,8 +88,9 @@ def test_a_few_random_sensors_against_moments():
 
 
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(300), marks=pytest.mark.slow)])
-def test_random_sensors_with_all_that_calibrations_find(seeds):
-    """Light offset, mixing, a curve, noise of columns and frames, and taps, beside all others."""
+def test_random_sensors_with_all_effects_of_calibrations(seeds):
+    """The sensors have light offset, mixing, a curve, noise of columns and frames, and taps besides
+    all other effects."""
     found = [check_sensor(seed, further=True) for seed in seeds]
     for name in sorted({name for _, alone in found for name in alone}):
         ratios = [alone[name] for _, alone in found if name in alone]
@@ -96,7 +98,7 @@ def test_random_sensors_with_all_that_calibrations_find(seeds):
 
 
 def test_half_of_a_bound_is_caught():
-    """The check above fails for a bound that is too small by a factor of 2."""
+    """The check above must fail for a bound that is too small by a factor of 2."""
     sensor, f, light, _ = draw(3)
     rows, _ = rows_of(sensor, light)
     actual = changed(f, {"sensor.read_noise"}, light * float(sensor.quantum_efficiency))
@@ -104,8 +106,8 @@ def test_half_of_a_bound_is_caught():
 
 
 @pytest.mark.parametrize("seeds", [range(4), pytest.param(range(60), marks=pytest.mark.slow)])
-def test_no_electron_reaches_a_well_that_was_dropped(seeds):
-    """Ten draws of each sensor, in NumPy; wells are set where they begin to matter."""
+def test_no_charge_reaches_a_well_that_was_dropped(seeds):
+    """Ten draws of each sensor in NumPy, with wells at the level where they begin to matter."""
     wells = 0
     for seed in seeds:
         sensor, f, light, rng = draw(seed, wells=False)
@@ -138,7 +140,8 @@ def test_every_field_of_a_sensor_has_its_row():
 @pytest.mark.parametrize("counting", ["none", "poisson", "gaussian"])
 @pytest.mark.parametrize("margin", [-2.0, 1.0, 5.0, 9.0])
 def test_excess_over_a_level_against_sums(counting, margin):
-    """Poisson by its probabilities, Gaussians in closed form, sensitivities by nodes."""
+    """The reference uses Poisson probabilities, closed forms for Gaussians, and quadrature for
+    sensitivities."""
     light, prnu, dark = 900.0, 0.03, 20.0
     level = light + dark + margin * math.sqrt(light + (prnu * light) ** 2)
     got = excess(Charge(light, dark, prnu, 0.0, counting), level)
@@ -186,7 +189,7 @@ def test_shares_of_a_packet_are_binomial():
 
 
 def spill(column, well, share):
-    """A column after its overfull wells have spilled, electron by electron in plain loops."""
+    """Return a column after its overfull wells have spilled, in plain loops."""
     level = np.minimum(column, well)
     half = share * np.maximum(column - well, 0) / 2
     for order in (range(len(column)), range(len(column) - 1, -1, -1)):
@@ -200,7 +203,8 @@ def spill(column, well, share):
 
 @pytest.mark.parametrize("load", [0.9, 0.97, 1.0, 1.2])
 def test_blooming_against_drawn_columns(load):
-    """What spills into a column's pixels, drawn: its rms stays below the bound."""
+    """The RMS of the charge that spills into a column's pixels, from random draws, is below the
+    bound."""
     rng, well, share, height = np.random.default_rng(5), 400.0, 0.7, 12
     light = np.full(height, load * well)
     light[3:5] = 0.2 * well
@@ -218,7 +222,8 @@ def test_blooming_against_drawn_columns(load):
 @pytest.mark.parametrize("noise", [0.0, 0.3, 0.6, 2.0])
 @pytest.mark.parametrize("black", [0.0, 3.0, 40.0])
 def test_rounding_and_clipping_against_integrals(noise, black):
-    """The law of round and clip of a Gaussian, code by code, over places within a code."""
+    """The reference integrates the distribution of a rounded and clipped Gaussian, over means
+    within a code."""
     sensor = s.Sensor(read_noise=noise, gain=0.5, offset=black, bits=8)
     row = rows_of(sensor, [400.0])[0]["sensor.bits"]
     actual = 0.0
@@ -234,8 +239,8 @@ def test_rounding_and_clipping_against_integrals(noise, black):
 
 
 class TestTraps:
-    def test_pattern_is_counted_once_among_the_noise_of_the_dark(self):
-        """4: DSNU is no temporal noise, and still hides what is dropped beside it."""
+    def test_pattern_is_counted_once_in_the_dark_noise(self):
+        """4: DSNU is not temporal noise, but it still masks effects that are dropped besides it."""
         sensor = s.Sensor(read_noise=3.0, dsnu=4.0)
         rows, response = rows_of(sensor, [0.0])
         assert response.dark == pytest.approx(5.0)
@@ -243,23 +248,23 @@ class TestTraps:
         gone = frozenset({"sensor.read_noise"})
         assert rows["sensor.dsnu"].after(gone) == pytest.approx(4.0)
 
-    def test_a_mean_that_moves_takes_its_noise_along(self):
-        """5: without other noise d electrons more in the dark are sqrt(d) more noise."""
+    def test_a_change_of_the_mean_also_changes_its_noise(self):
+        """5: without other noise, d more electrons in the dark add sqrt(d) of noise."""
         sensor = s.Sensor(shot_noise=s.PoissonShotNoise())
         _, response = rows_of(sensor, [100.0])
         assert response.dn(np.array([4.0]), frozenset()) == pytest.approx(math.hypot(4, 2))
         still = s.Sensor()
         assert rows_of(still, [100.0])[1].dn(np.array([4.0]), frozenset()) == pytest.approx(4)
 
-    def test_gains_of_columns_and_pixels_magnify_earlier_noise(self):
-        """6."""
+    def test_gains_of_columns_and_pixels_amplify_earlier_noise(self):
+        """Trap 6."""
         plain = rows_of(s.Sensor(read_noise=2.0), [0.0])[0]["sensor.read_noise"].effect.bound
         wide = s.Sensor(read_noise=2.0, column_prnu=0.5)
         bound = rows_of(wide, [0.0])[0]["sensor.read_noise"].effect.bound
         assert bound == pytest.approx(plain * math.sqrt(1.25))
 
-    def test_light_that_is_not_bounded_keeps_what_depends_on_it(self):
-        """7: neither 0 times infinity nor infinity less infinity drops anything."""
+    def test_effects_that_depend_on_unbounded_light_are_kept(self):
+        """7: neither 0 times infinity nor infinity minus infinity may drop anything."""
         sensor = replace(EVERY_EFFECT, colour_filter=None, crosstalk=0.0, prnu=0.0)
         rows, response = sensor_stage(Ends(sensor, sensor), np.full(3, np.inf), shape=(6, 8))
         bounds = {row.effect.name: row.effect.bound for row in rows}
@@ -269,14 +274,16 @@ class TestTraps:
         assert response.dn(np.full(3, np.inf), frozenset()) == math.inf
         assert not any(math.isnan(b) or b < 0 for b in bounds.values())
 
-    def test_rounding_is_no_contraction(self):
-        """12: without noise a change of .01 DN may become 1 DN, so promises are made before."""
+    def test_rounding_can_increase_a_change(self):
+        """12: without noise a change of .01 DN may become 1 DN, so the promise is for values before
+        rounding."""
         rows, _ = rows_of(s.Sensor(bits=8, gain=1.0, offset=10.0), [100.0])
         assert rows["sensor.bits"].effect.bound == pytest.approx(0.5, abs=1e-12)
 
 
-def test_noise_that_goes_uncovers_the_rest():
-    """V is reduced as sources go: the later of two equal sources shows more."""
+def test_dropped_noise_makes_the_remaining_noise_more_visible():
+    """The variance decreases as sources are dropped, so the later of two equal sources matters
+    more."""
     rows, _ = rows_of(s.Sensor(dsnu=3.0, read_noise=3.0), [0.0])
     first = rows["sensor.dsnu"].after(frozenset())
     second = rows["sensor.read_noise"].after(frozenset({"sensor.dsnu"}))
@@ -286,8 +293,8 @@ def test_noise_that_goes_uncovers_the_rest():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("seed", [2, 9])
-def test_bounds_hold_over_the_whole_box_of_what_may_change(seed):
-    """Bounds at two ends hold for sensors between them."""
+def test_bounds_hold_over_the_box_of_free_parameters(seed):
+    """Bounds from the two ends hold for sensors between them."""
     rng = np.random.default_rng(1)
     sensor, f, light, _ = draw(seed, wells=False)
     low, high = f["read_noise"] / 3, f["read_noise"] * 3
@@ -322,7 +329,7 @@ def test_light_of_another_number_of_bands_is_refused_as_a_capture_refuses_it():
         sensor_stage(Ends(sensor, sensor), np.ones(3), shape=(4, 4))
 
 
-def test_the_pixel_is_made_without_what_is_gone():
+def test_the_pixel_is_computed_without_dropped_effects():
     ends = Ends(EVERY_EFFECT, EVERY_EFFECT)
     gone = frozenset({"sensor.dsnu", "sensor.read_noise"})
     pixel = pixel_of(ends, np.ones(3), (6, 8), gone)
@@ -332,8 +339,9 @@ def test_the_pixel_is_made_without_what_is_gone():
 
 @pytest.mark.parametrize(("rms", "most"), [(1.0, 1.03), (0.5, 1.3), (0.2, 2.0)])
 @pytest.mark.sweep
-def test_counts_beside_noise_are_as_far_apart_as_their_moments_or_little_farther(rms, most):
-    """Wasserstein's distance of Poisson counts beside Gaussian noise, by their quantiles."""
+def test_counts_with_noise_differ_little_more_than_their_moments(rms, most):
+    """The reference is Wasserstein's distance of Poisson counts with Gaussian noise, by their
+    quantiles."""
     tail = np.geomspace(1e-12, 1e-3, 500)
     u = np.concatenate([tail, np.linspace(1e-3, 1 - 1e-3, 5001)[1:-1], 1 - tail[::-1]])
     x = np.linspace(-9 * rms, 60, 20001)[:, None]
@@ -353,8 +361,8 @@ def test_counts_beside_noise_are_as_far_apart_as_their_moments_or_little_farther
     assert 0.98 * most <= max(ratios) <= most
 
 
-def test_what_a_distance_in_dn_is_stands_in_every_certificate():
-    """That it is one of moments holds of light that goes, too."""
+def test_every_certificate_explains_its_distance_in_dn():
+    """The certificate says that the distance is one of moments, also if light is dropped."""
     floor = s.Surface(s.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
     lamps = jv.PointLight([0.0, 0, 2], [1.0]), jv.PointLight([0.0, 0, 2], [1e-6])
     view = s.Pinhole([0, 0, 3.0], np.diag([1.0, -1, -1]), 1.0, 0.1, resolution=(4, 4))

@@ -1,4 +1,4 @@
-"""Full shadow, and how far shadows reach, against sampled segments and cells seen by hand."""
+"""Tests full shadows and the reach of shadows against sampled segments, and by hand."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ VIEW = jv.Pinhole([0, 0, 3], DOWN, 0.05, 0.05 / 16, resolution=(16, 16))
 
 
 def lamp(draw):
-    """A point, a rectangle or a direction over all, which shines down."""
+    """Return a point, a rectangle or a direction that shines down on everything."""
     x, y = draw.rng.uniform(-1, 1, 2)
     kind = draw.rng.integers(3)
     if kind == 0:
@@ -32,8 +32,9 @@ def lamp(draw):
 
 
 @pytest.mark.parametrize("count", [10, pytest.param(1000, marks=pytest.mark.slow)])
-def test_full_shadow_is_full_and_what_is_out_of_reach_is_never_met(count):
-    """A screen between lamp and receiver: of those that no segment passes, 70 % are proved."""
+def test_proved_shadows_are_full_and_no_segment_is_blocked_out_of_reach(count):
+    """A screen is between lamp and receiver. At least 70 % of the screens that block all segments
+    are proved to do so."""
     whole = proved = reached = 0
     for seed in range(count):
         draw = Draw(seed)
@@ -66,8 +67,8 @@ def test_full_shadow_is_full_and_what_is_out_of_reach_is_never_met(count):
 
 
 @pytest.mark.parametrize("depth", [0.0, 1e-9, 0.1])
-def test_what_lies_in_the_plane_of_an_occluder_is_not_in_its_shadow(depth):
-    """A sheet on the floor and a box flush with it see the lamp; what is under it does not."""
+def test_surfaces_in_the_plane_of_an_occluder_are_not_in_its_shadow(depth):
+    """A sheet on the floor and a box flush with it see the lamp. The floor below them does not."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), GREY)
     sheet = jv.Surface(jv.Disc([0, 0, -depth], [0, 0, 1.0], 0.2), GREY)
     flush = jv.Surface(jv.Box([0.5, 0, -0.1 - depth], [0.1, 0.1, 0.1]), GREY)
@@ -82,8 +83,8 @@ def test_what_lies_in_the_plane_of_an_occluder_is_not_in_its_shadow(depth):
 
 
 @pytest.mark.parametrize(("size", "seen"), [(0.6, False), (0.1, True)])
-def test_a_wall_hides_what_is_behind_it_from_the_eye(size, seen):
-    """A lamp, and a floor, of which a pixel sees none but past a small wall."""
+def test_a_wall_hides_surfaces_behind_it_from_the_eye(size, seen):
+    """A pixel sees a lamp and a floor only past a small wall."""
     wall = jv.Surface(jv.Quad([-size, -size, 2], [2 * size, 0, 0], [0, 2 * size, 0]), GREY)
     floor = jv.Surface(jv.Quad([-0.5, -0.5, 0], [1, 0, 0], [0, 1, 0]), GREY)
     up = jv.RectangleLight([-0.2, -0.2, 1], [0.4, 0, 0], [0, 0.4, 0], [1.0])
@@ -95,8 +96,8 @@ def test_a_wall_hides_what_is_behind_it_from_the_eye(size, seen):
     assert sums.seen[sums.cells.surface == 0].any()
 
 
-def test_a_lamp_above_the_ceiling_goes_unless_the_shadows_went():
-    """In full shadow it is proved to matter nothing; without shadows it lights the floor."""
+def test_a_lamp_above_the_ceiling_is_dropped_unless_shadows_were():
+    """The lamp is in full shadow, so its bound is zero. Without shadows it lights the floor."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), GREY)
     roof = jv.Surface(jv.Quad([-1, -1, 3.5], [0, 2, 0], [2, 0, 0]), GREY)
     lights = [jv.PointLight([0, 0, 5], [1.0]), jv.PointLight([0, 0, 2], [1.0])]
@@ -114,7 +115,7 @@ def test_a_lamp_above_the_ceiling_goes_unless_the_shadows_went():
 
 
 @pytest.mark.parametrize(("place", "unseen"), [((0, 0, 3), True), ((0, 0, 0.1), False)])
-def test_the_inside_of_a_ball_is_seen_from_within_alone(place, unseen):
+def test_the_inside_of_a_ball_is_seen_only_from_inside(place, unseen):
     ball = twice(jv.Surface(jv.Sphere([0, 0, 0], 1.0), GREY, two_sided=True))
     cells = cells_of([ball], about=np.zeros(3))
     view = jv.Pinhole(place, DOWN, 0.05, 0.001, resolution=(8, 8))
@@ -124,9 +125,9 @@ def test_the_inside_of_a_ball_is_seen_from_within_alone(place, unseen):
     assert np.array_equal(found, inner & unseen)
 
 
-def test_a_light_that_may_turn_casts_shadows_beside_its_middle():
-    """A screen beside the column above a tile, and a sun between upright and 11 degrees to either
-    side, far enough to shade the tile; not that of 1 degree."""
+def test_a_light_of_free_direction_casts_shadows_beside_its_centre():
+    """A screen is next to the column above a tile. A sun that tilts up to 11 degrees from upright
+    casts its shadow on the tile, and one that tilts up to 1 degree does not."""
     tile = twice(jv.Surface(jv.Quad([-0.1, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), GREY))
     screen = twice(jv.Surface(jv.Sphere([1.0, 0, 8], 0.3), GREY))
     for tilt, expected in ((0.2, True), (0.02, False)):

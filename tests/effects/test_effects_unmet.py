@@ -1,5 +1,5 @@
-"""Surfaces that no ray of direct light meets are dropped, and no others: against plain ray casting
-in NumPy, which shares no code with the bounds."""
+"""Tests that exactly the surfaces that no ray of direct light hits are dropped, against plain ray
+casting in NumPy, which shares no code with the bounds."""
 
 import jax
 import numpy as np
@@ -14,7 +14,8 @@ NOTHING = Tolerance(0.0)
 
 
 def axes_toward(forward, rng=None):
-    """Rows right, down and forward; turned about forward at random with `rng`."""
+    """Return the rows right, down and forward, rotated about forward at random if `rng` is
+    given."""
     forward = forward / np.linalg.norm(forward)
     side = np.array([0.0, 0.0, 1.0]) if rng is None else rng.standard_normal(3)
     right = np.cross(forward, side)
@@ -38,7 +39,7 @@ def looking_down(side=16):
 
 
 @pytest.mark.slow
-def test_forty_balls_out_of_view_leave_the_program_of_the_scene_without_them():
+def test_forty_balls_out_of_view_are_not_in_the_program():
     whole, view = street(40), looking_down()
     pruned = effects.prune(whole, view, NOTHING, level=1.0)
     assert len(pruned.scene.surfaces) == 2
@@ -49,7 +50,7 @@ def test_forty_balls_out_of_view_leave_the_program_of_the_scene_without_them():
     np.testing.assert_array_equal(jv.render(pruned.scene, view), jv.render(whole, view))
 
 
-def test_a_body_that_a_shadow_or_a_number_asks_for_is_kept():
+def test_a_body_with_a_shadow_or_a_requested_number_is_kept():
     view = looking_down()
 
     def left(scene, **asked):
@@ -61,7 +62,7 @@ def test_a_body_that_a_shadow_or_a_number_asks_for_is_kept():
         return jv.Scene([scene.surfaces[0], ball, scene.surfaces[1]], scene.lights)
 
     assert len(left(beside([0.0, -9.0, 1.0])).surfaces) == 2  # behind the camera
-    over = beside([0.6, 0.6, 3.0])  # out of view, between the lamp and what is seen
+    over = beside([0.6, 0.6, 3.0])  # out of view, between the lamp and the floor
     assert len(left(over).surfaces) == 3
     away = beside([0.0, -9.0, 1.0])
     assert len(left(away, free={"surfaces[2].shape.radius": (0.4, 0.6)}).surfaces) == 3
@@ -72,7 +73,7 @@ def test_a_body_that_a_shadow_or_a_number_asks_for_is_kept():
 
 
 def _hits(shape, origin, way, far):
-    """(rays,) whether each ray of unit directions meets a shape nearer than `far`; plain NumPy."""
+    """Return (rays,) whether each ray of unit direction hits a shape nearer than `far`."""
     if isinstance(shape, jv.Sphere):
         away = origin - np.asarray(shape.centre)
         b, c = (away * way).sum(1), (away**2).sum(1) - float(shape.radius) ** 2
@@ -85,7 +86,7 @@ def _hits(shape, origin, way, far):
 
 
 def _random_scene(rng):
-    """Balls and quads near and far, lamps of three kinds, and a view of three kinds."""
+    """Return balls and quads near and far, lamps of three types, and a view of three types."""
     surfaces = [jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), GREY)] * int(rng.integers(2))
     for _ in range(int(rng.integers(4, 12))):
         place = rng.normal(0, rng.choice([2.0, 20.0]), 3)
@@ -121,7 +122,7 @@ def _random_scene(rng):
 
 
 def _eye_rays(view, count, rng):
-    """(count, 3) origins and unit directions through random places of the picture."""
+    """Return origins and unit directions, (count, 3), through random positions in the picture."""
     right, down, forward = np.asarray(view.rotation)
     x, y = (rng.uniform(-0.5, 0.5, (2, count)) * [[30], [20]]) * float(view.pixel_pitch)
     plane = x[:, None] * right + y[:, None] * down
@@ -140,7 +141,8 @@ def _eye_rays(view, count, rng):
 
 
 def _lamp_rays(lamp, seen, rng):
-    """Unit directions and distances from the seen points, (n, 3), to random points of a lamp."""
+    """Return unit directions and distances from visible points, (n, 3), to random points of a
+    lamp."""
     if isinstance(lamp, jv.DirectionalLight):
         way = np.broadcast_to(np.asarray(lamp.direction), seen.shape)
         return way, np.full(len(seen), np.inf)
@@ -161,7 +163,7 @@ def _check_no_ray_meets_what_is_dropped(seed, rays):
     dropped = [i for i in range(len(scene.surfaces)) if f"surfaces[{i}]" in names]
     assert len(pruned.scene.surfaces) == len(scene.surfaces) - len(dropped)
     start, way = _eye_rays(view, rays, rng)
-    # a point anywhere along a ray of the eye may be on a surface that is seen
+    # a point anywhere along a ray from the eye may be on a visible surface
     seen = start + way * 10 ** rng.uniform(-1, 2, (rays, 1))
     for i in dropped:
         shape = scene.surfaces[i].shape

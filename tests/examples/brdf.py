@@ -1,4 +1,4 @@
-"""Every family of BRDFs, and the directions they are made of."""
+"""Calls for every family of BRDFs, and their directions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -50,7 +50,7 @@ WAYS = specular(CLEAR, WO)
 
 
 def family(name, material, *functions):
-    """One call of each of a family's functions."""
+    """Return one call of each of a family's functions."""
     calls = {
         "evaluate": (WI, WO),
         "shading": (WI, WO),

@@ -1,4 +1,5 @@
-"""Conversions between colour spaces, of colours that are neither grey nor on a seam of the hue."""
+"""Calls for conversions between colour spaces, with colours that are neither grey nor at the
+discontinuity of the hue."""
 
 import jax.numpy as jnp
 

@@ -1,4 +1,4 @@
-"""Layers of two bands and a coverage."""
+"""Calls for layers of two bands and a coverage."""
 
 import jax.numpy as jnp
 import numpy as np

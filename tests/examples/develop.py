@@ -1,4 +1,4 @@
-"""Raw to picture."""
+"""Calls for the development from raw to picture."""
 
 import jax.numpy as jnp
 import numpy as np

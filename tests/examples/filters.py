@@ -1,4 +1,4 @@
-"""Linear filters, shift-variant filters and their matrices."""
+"""Calls for linear filters, shift-variant filters and their matrices."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ STACK = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 2, 3, 4)))
 BANK = jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 2, 2)))
 SIGMA, ONE, TWO = jnp.asarray(1.3), jnp.asarray(0.7), jnp.asarray(2.3)
 SIGMAS = jnp.asarray(RNG.uniform(0.6, 1.9, size=(3, 4)))
-ROWS = jnp.asarray([[0.3, 0.35], [1.4, 1.45]])  # nowhere on a row or column, where slopes jump
+ROWS = jnp.asarray([[0.3, 0.35], [1.4, 1.45]])  # not on a row or column, where slopes jump
 COLUMNS = jnp.asarray([[0.4, 1.5], [0.45, 1.6]])
 LAYER = jnp.concatenate([X, 0.5 * X[..., :1]], axis=-1)
 BASIS = filters.quadrature_basis(X, ONE, size=5)

@@ -1,4 +1,4 @@
-"""Rays, the surfaces they meet, and what is shaded of them."""
+"""Calls for rays, surfaces and shading."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Histograms, equalisation and matching."""
+"""Calls for histograms, equalisation and matching."""
 
 import jax.numpy as jnp
 import numpy as np

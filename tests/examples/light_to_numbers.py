@@ -1,4 +1,4 @@
-"""The narrow path from light to digital numbers."""
+"""Calls for the chain from light to digital numbers."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Lights of every kind, and the integrals over them."""
+"""Calls for lights of every type, and integrals over them."""
 
 import jax
 import jax.numpy as jnp

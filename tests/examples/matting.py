@@ -1,4 +1,4 @@
-"""Mattes of a few pixels."""
+"""Calls for mattes of a few pixels."""
 
 import jax
 import jax.numpy as jnp

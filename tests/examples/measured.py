@@ -1,4 +1,4 @@
-"""Measured BRDFs."""
+"""Calls for measured BRDFs."""
 
 import jax.numpy as jnp
 import numpy as np

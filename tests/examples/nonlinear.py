@@ -1,4 +1,4 @@
-"""Filters that are not linear, pyramids and integral images."""
+"""Calls for nonlinear filters, pyramids and integral images."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Projection, focus, openings, diffraction, distortion and defocus."""
+"""Calls for projection, focus, apertures, diffraction, distortion and defocus."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Point operators beyond those of the narrow path."""
+"""Calls for point operators besides those from light to digital numbers."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,5 @@
-"""Radiosity: a small closed box, patches of its walls, and rectangles that see each other."""
+"""Calls for radiosity: a small closed box, patches of its walls, and rectangles that see each
+other."""
 
 import jax
 import jax.numpy as jnp

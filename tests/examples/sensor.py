@@ -1,4 +1,4 @@
-"""The sensor, stage by stage."""
+"""Calls for the sensor, stage by stage."""
 
 from dataclasses import replace
 
@@ -118,7 +118,8 @@ EXAMPLES = {
     "sensor.nonlinearity.signal_of_charge": ((CURVE, ELECTRONS), {}),
     "sensor.moments.signal_to_noise": ((SENSOR, X), {}),
     "sensor.moments.signal_variance": ((SENSOR, X), {}),
-    # a finite difference's step is no small share of the kernel of charges that repel each other
+    # the step of a finite difference would be a large share of the kernel of the brighter-fatter
+    # effect
     "sensor.moments.pattern_variance": ((replace(SENSOR, brighter_fatter=None), X), {}),
     "sensor.raw.collect": ((KEY, SENSOR, X), {"die_key": DIE}),
     "sensor.raw.raw_image": ((KEY, SENSOR, X), {"die_key": DIE}),
@@ -128,7 +129,7 @@ EXAMPLES = {
     "sensor.sampling.aperture_mtf": ((APERTURE, X), {}),
     "sensor.sampling.light_share": ((APERTURE,), {}),
     "sensor.sampling.pixel_means": ((X, APERTURE), {}),
-    # whatever is drawn the value is 1, so that a finite difference says what the slope must be
+    # whatever is drawn the value is 1, so a finite difference gives the right slope
     "sensor.expectation.expected_of_count": ((KEY, X), {"function": whole_turns}),
     "sensor.expectation.expected_of_defect": ((KEY, X), {"function": one}),
     "sensor.expectation.expected_of_reading": ((KEY, X, ONE), {"function": one}),

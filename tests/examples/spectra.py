@@ -1,4 +1,4 @@
-"""Spectra on a grid of five bands."""
+"""Calls for spectra on a grid of five bands."""
 
 import jax.numpy as jnp
 import numpy as np

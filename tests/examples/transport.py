@@ -1,4 +1,4 @@
-"""Light that bounces: paths, trees of rays, and light from the sources."""
+"""Calls for multiple reflections: paths, trees of rays, and light tracing."""
 
 import jax
 import jax.numpy as jnp
@@ -34,8 +34,8 @@ MIRRORS = s.Scene(
 DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 VIEW = s.Pinhole([0.05, 0.02, 1.3], DOWN, 1.0, 0.3, resolution=(2, 3))
 RAY = Ray(jnp.asarray([0.27, 0.05, 1.4]), jnp.asarray([0.0, 0.0, -1.0]))
-# At the mirror: a direction that the sweep makes 1e-6 too short is no ray in glass, where it would
-# start behind the surface that it left; the view's rays, of unit length whatever it is, meet glass.
+# The ray is at the mirror, because a direction that is 1e-6 too short is no valid ray in glass,
+# where it would start behind its surface. The view's rays, always of unit length, hit glass.
 REFLECTED = Ray(jnp.asarray([-0.48, 0.12, 1.4]), jnp.asarray([0.0, 0.0, -1.0]))
 RAYS = jax.tree.map(lambda *x: jnp.stack(x), REFLECTED, REFLECTED)
 STREAM = Stream(jnp.uint32(5), jnp.uint32(2), jnp.asarray([7, 9], jnp.uint32))

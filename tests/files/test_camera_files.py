@@ -1,4 +1,4 @@
-"""Cameras from files: the three that ship, and each mistake reported in one sentence."""
+"""Tests cameras from files: the shipped ones, and one sentence for each mistake in a file."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def test_ccd_and_cmos_have_the_effects_of_their_kind():
     assert all(getattr(ccd, name) is None for name in of_cmos)
     assert all(getattr(cmos, name) is not None for name in of_cmos)
     assert all(getattr(cmos, name) is None for name in of_ccd)
-    for sensor in (ccd, cmos):  # the ADC ends above the well, as it should
+    for sensor in (ccd, cmos):  # the ADC saturates above the well
         top = float(sensor.offset + sensor.gain * sensor.full_well)
         assert 0.9 * 2 ** float(sensor.bits) < top < 2 ** float(sensor.bits)
 
@@ -207,7 +207,7 @@ def test_a_whole_number_may_be_larger_than_an_integer_of_jax(tmp_path):
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-def test_mistakes_are_told_in_one_sentence(case, tmp_path):
+def test_mistakes_are_one_sentence(case, tmp_path):
     right, wrong, message = MISTAKES[case]
     assert right in GOOD
     file = tmp_path / "mine.toml"

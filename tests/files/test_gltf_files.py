@@ -1,5 +1,5 @@
-"""Scenes of glTF: meshes stand where trimesh puts them, light is that of closed forms, and what is
-not read is refused by name."""
+"""Tests glTF scenes: meshes are where trimesh puts them, light equals closed forms, and unsupported
+content is refused by name."""
 
 import json
 import warnings
@@ -26,15 +26,15 @@ def read(folder, *, quietly=True, **parts):
 
 
 def middle(source):
-    """The radiance seen in the middle of the picture, by direct light."""
+    """Return the radiance in the centre of the picture, by direct light."""
     view = replace(source.view, resolution=(1, 1))
     return np.asarray(jv.render(source.scene, view)[0, 0])
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
 @pytest.mark.filterwarnings("ignore:.*its coat")
-def test_meshes_stand_where_trimesh_puts_them(suffix, tmp_path):
-    """Nodes in nodes: turned, stretched, mirrored, one mesh at two places."""
+def test_meshes_are_placed_as_by_trimesh(suffix, tmp_path):
+    """Nested nodes rotate, stretch and mirror, and use one mesh twice."""
     turned = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [0.1, 0.2, 0.3])
     stretched = np.diag([2.0, 0.5, -1.5, 1.0])
     shining = trimesh.visual.material.PBRMaterial(emissiveFactor=[1, 1, 1], metallicFactor=0.5)
@@ -53,14 +53,14 @@ def test_meshes_stand_where_trimesh_puts_them(suffix, tmp_path):
     triangles = np.concatenate([np.asarray(s.vertices)[np.asarray(s.faces)] for s in shapes])
     assert len(shapes) == 3
 
-    def in_order(corners):  # of triangles, each from its least corner
+    def in_order(corners):  # triangles, each from its smallest corner
         rolled = [np.roll(t, -np.lexsort(t.T.round(4))[0], axis=0) for t in np.asarray(corners)]
         return sorted(tuple(t.round(4).ravel() + 0.0) for t in rolled)
 
     np.testing.assert_allclose(in_order(triangles), in_order(expected), atol=2e-4)
 
 
-def test_a_primitive_is_that_of_trimesh(tmp_path):
+def test_a_primitive_equals_trimeshs(tmp_path):
     ball = trimesh.creation.icosphere(2)
     ball.vertex_normals  # noqa: B018 trimesh writes the normals that it has at hand
     ball.export(tmp_path / "ball.glb", include_normals=True)
@@ -73,14 +73,14 @@ def test_a_primitive_is_that_of_trimesh(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_matt_floor_under_a_point(tmp_path):
-    """c / pi I / d^2, with 683 cd as 1 W sr^-1."""
+def test_a_matte_floor_under_a_point_light(tmp_path):
+    """The radiance is c / pi I / d^2, with 683 cd as 1 W sr^-1."""
     np.testing.assert_allclose(
         middle(read(tmp_path, quietly=False)), np.array([0.5, 0.4, 0.3]) / np.pi / 4, rtol=1e-5
     )
 
 
-def test_what_shines_is_in_nits(tmp_path):
+def test_emission_is_in_nits(tmp_path):
     lamp = matt(0, 0, 0, emissiveFactor=[1, 0.5, 0])
     lamp["extensions"]["KHR_materials_emissive_strength"] = {"emissiveStrength": 6830.0}
     (surface,) = read(tmp_path, material=lamp).scene.surfaces
@@ -97,8 +97,9 @@ def test_meshes_that_shine_beside_lamps_of_blender_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("metal", [1.0, 0.25])
-def test_a_lobe_is_that_of_the_specification(metal, tmp_path):
-    """Appendix B written out, at angles where the coat's F is F0 to 1e-4: h.v = 0.987."""
+def test_a_lobe_follows_the_specification(metal, tmp_path):
+    """The reference writes out Appendix B, at angles where the coat's F is F0 within 1e-4 (h.v =
+    0.987)."""
     colour, rough, index = np.array([0.9, 0.6, 0.3]), 0.5, 1.4
     material = {
         "pbrMetallicRoughness": {
@@ -126,8 +127,8 @@ def test_a_lobe_is_that_of_the_specification(metal, tmp_path):
     )
 
 
-def test_glass_keeps_what_its_volume_says(tmp_path):
-    """White light is left as the colour after the distance: Beer and Lambert."""
+def test_glass_absorbs_as_its_volume_states(tmp_path):
+    """By the Beer-Lambert law, white light has the stated colour after the stated distance."""
     clear = {
         "KHR_materials_transmission": {"transmissionFactor": 1},
         "KHR_materials_ior": {"ior": 1.33},
@@ -163,8 +164,8 @@ def test_glass_keeps_what_its_volume_says(tmp_path):
         ),
     ],
 )
-def test_the_picture_ends_where_the_camera_says(camera, top, tmp_path):
-    """The corner of the field of view lies on the corner of the picture."""
+def test_the_field_of_view_is_the_cameras(camera, top, tmp_path):
+    """The corner of the field of view is at the corner of the picture."""
     view = read(tmp_path, camera=camera).view
     assert view.resolution == (480, 720)
     row, column = np.asarray(jv.project(view, [1.5 * top, top, 0.0]))[..., :2].ravel()
@@ -172,7 +173,7 @@ def test_the_picture_ends_where_the_camera_says(camera, top, tmp_path):
 
 
 def changed(*path, to):
-    """The content with one value changed or added."""
+    """Return the content with one value changed or added."""
     made = content()
     at = made
     for part in path[:-1]:
@@ -246,7 +247,7 @@ def changed(*path, to):
         (changed("asset", to={"version": "1.0"}), "not of glTF 2"),
     ],
 )
-def test_what_is_not_read_is_named(made, words, tmp_path):
+def test_unsupported_content_is_named(made, words, tmp_path):
     file = tmp_path / "a.gltf"
     file.write_text(json.dumps(made))
     with pytest.raises(InputError, match=words) as caught:
@@ -337,7 +338,7 @@ def test_a_matrix_that_is_not_affine_is_refused(tmp_path):
         ),
     ],
 )
-def test_what_a_mesh_of_gltf_drops_is_named(change, said, tmp_path):
+def test_dropped_content_of_a_gltf_mesh_is_named(change, said, tmp_path):
     made = content()
     change(made)
     with pytest.warns(UserWarning, match=f"not used: {said}"):

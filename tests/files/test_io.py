@@ -1,4 +1,5 @@
-"""Files read back as written: depth, values, and one sentence where that is impossible."""
+"""Tests that image files are read back as written, in bit depth and values, with one sentence where
+this is impossible."""
 
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def test_where_no_file_can_be_made_is_said():
 
 
 def test_sixteen_bit_png_is_sixteen_bit_on_disk(tmp_path):
-    """Byte 24 of a PNG is the bit depth of its IHDR chunk (PNG specification, 11.2.2)."""
+    """Byte 24 of a PNG is the bit depth in its IHDR chunk (PNG specification, 11.2.2)."""
     write_image(tmp_path / "a.png", np.array([[0, 257, 65535]], np.uint16))
     assert (tmp_path / "a.png").read_bytes()[24] == 16
 
@@ -150,7 +151,7 @@ def test_a_write_that_dies_half_way_keeps_the_old_file(tmp_path, monkeypatch):
 
 
 def quantisation_tables(data):
-    """The 8-bit tables of a JPEG's DQT segments (ITU-T T.81, B.2.4.1), by their number."""
+    """Return the 8-bit tables of a JPEG's DQT segments (ITU-T T.81, B.2.4.1) by their number."""
     tables, at = {}, 2
     while data[at + 1] != 0xDA:
         size = int.from_bytes(data[at + 2 : at + 4], "big")
@@ -162,13 +163,14 @@ def quantisation_tables(data):
     return tables
 
 
-# The first row of the luminance table of ITU-T T.81, K.1, in the zigzag order of the file.
+# The first row of the luminance table of ITU-T T.81, K.1, in the file's zigzag order.
 _LUMINANCE = np.array([16, 11, 12, 14, 12, 10, 16, 14])
 
 
 @pytest.mark.parametrize("quality", [1, 30, 50, 75, 89, 90, 100])
 def test_jpeg_quality_is_libjpegs(tmp_path, quality):
-    """libjpeg scales the tables of T.81 by 5000 / q below 50 and 200 - 2 q above, in percent."""
+    """libjpeg scales the tables of T.81 by 5000 / q below 50 and by 200 - 2 q above, in per
+    cent."""
     pixels = RNG.integers(0, 255, (32, 40, 3), np.uint8)
     write_image(tmp_path / "a.jpg", pixels, quality=quality)
     tables = quantisation_tables((tmp_path / "a.jpg").read_bytes())
@@ -178,7 +180,7 @@ def test_jpeg_quality_is_libjpegs(tmp_path, quality):
 
 
 def test_a_smooth_picture_survives_jpeg(tmp_path):
-    """Errors of a ramp in all three colours: about the quantisation at each quality."""
+    """The errors of a ramp in all three colours are about the quantisation at each quality."""
     ramp = np.stack(np.meshgrid(np.arange(64), np.arange(48)), axis=-1)
     pixels = np.dstack([ramp * 3, ramp.sum(-1)]).astype(np.uint8)
     errors = []
@@ -225,7 +227,8 @@ def test_exr_is_written_row_by_row(tmp_path):
 
 
 def test_every_damage_of_a_header_is_a_sentence(tmp_path):
-    """A byte that is no text, which the library's own message would quote, and a cut tuple."""
+    """The file has a byte that is not text, which the library's own message would quote, or a
+    truncated tuple."""
     write_image(tmp_path / "a.exr", np.ones((2, 2), np.float32))
     written = (tmp_path / "a.exr").read_bytes()
     damaged = bytearray(written)

@@ -1,4 +1,5 @@
-"""Photometric files, written here: what they hold returns, and what is none is refused in words."""
+"""Tests photometric files written by the tests: valid ones are read correctly, and others are
+refused in words."""
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from jaxvision.errors import InputError
 from jaxvision.files import read_luminaire
 
 GAMMA = np.arange(0, 91, 5.0)
-COSINE = 1000 * np.cos(np.radians(GAMMA))  # cd, of a flat white panel: pi I lm
+COSINE = 1000 * np.cos(np.radians(GAMMA))  # cd, of a uniform white panel of pi I lm
 
 
 def ies(
@@ -44,14 +45,14 @@ def read(folder, text, name="lamp.ies"):
 
 
 def flux(lamp):
-    """lm of the lamp as a light of the scene."""
+    """Return the luminous flux of the lamp as a light of the scene, in lm."""
     light = jv.goniometric_light(lamp, [0, 0, 2])
     return 683 * float(lights.flux(light)[0])
 
 
-def test_the_lumens_of_a_file_return(tmp_path):
-    """A panel of 1000 cd that falls as the cosine sends 1000 pi lm, which is what its file states;
-    of nodes every 5 degrees 0.1 % less, the chords of the cosine."""
+def test_the_lumens_of_a_file_are_reproduced(tmp_path):
+    """A panel of 1000 cd with a cosine distribution emits 1000 pi lm, as its file states. With
+    nodes every 5 degrees, linear interpolation loses 0.1 %."""
     lamp = read(tmp_path, ies())
     assert (lamp.name, float(lamp.watts), float(lamp.lumens)) == ("panel", 40, 3141.6)
     assert flux(lamp) == pytest.approx(3141.6, rel=1e-3)
@@ -144,7 +145,7 @@ def eulumdat(symmetry, planes, table, *, lumens=2000.0, factor=1.0, sets=1, rati
 )
 @pytest.mark.parametrize("sets", [1, 2])
 def test_eulumdat(symmetry, first, kept, sets, tmp_path):
-    """cd per 1000 lm of the lamps, decimal commas."""
+    """The values are cd per 1000 lm of the lamps, with decimal commas."""
     planes = np.arange(0, 360, 45)
     table = np.broadcast_to(np.cos(np.radians(GAMMA)) * 1000 / np.pi, (kept, len(GAMMA))).copy()
     tall = table / (1 + 0.1 * np.arange(kept)[:, None])
@@ -161,7 +162,7 @@ def test_eulumdat(symmetry, first, kept, sets, tmp_path):
 
 
 def test_sets_of_lamps_are_read_in_either_order(tmp_path):
-    """The standard has all numbers of lamps, then all types."""
+    """The standard lists all numbers of lamps, then all types."""
     planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
     lines = eulumdat(1, planes, table, sets=2).split("\r\n")
     lines[26:38] = [lines[26 + 2 * field + one] for one in (0, 1) for field in range(6)]
@@ -179,7 +180,7 @@ def test_the_tilt_of_a_measurement_is_named(tmp_path):
         read(tmp_path, "\r\n".join(lines), "lamp.ldt")
 
 
-def test_light_that_the_lamps_do_not_have_is_told(tmp_path):
+def test_more_light_than_the_lamps_emit_is_named(tmp_path):
     with pytest.warns(UserWarning, match=r"3.14e.04 lm leave a luminaire whose lamps give 3142 lm"):
         read(tmp_path, ies(multiplier=10))
     planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
@@ -188,7 +189,7 @@ def test_light_that_the_lamps_do_not_have_is_told(tmp_path):
 
 
 def turned(last):
-    """Planes at 0 to 360 degrees, the last of which is multiplied by a number."""
+    """Return intensities in planes at 0 to 360 degrees, the last multiplied by a number."""
     return np.outer([1, 1, 1, 1, last], COSINE)
 
 
@@ -212,9 +213,10 @@ def turned(last):
     ],
 )
 @pytest.mark.filterwarnings("ignore::UserWarning")  # some have two faults
-def test_numbers_of_no_lamp_are_named(text, name, words, tmp_path):
-    """Intensities per kilolumen without their lamps, kilolumens for lumens, millimetres for metres,
-    and a table whose order contradicts its angles: all were read without a word."""
+def test_implausible_photometric_numbers_are_named(text, name, words, tmp_path):
+    """The faults are intensities per kilolumen without their lamps, kilolumens for lumens,
+    millimetres for metres, and a table whose order contradicts its angles. Earlier versions read
+    them silently."""
     with pytest.warns(UserWarning, match=words):
         read(tmp_path, text, name)
 
@@ -243,12 +245,12 @@ def test_numbers_of_no_lamp_are_named(text, name, words, tmp_path):
         (ies().replace(" 19 1 1", " 190000 1 1"), "must be from 2 to 5000"),
     ],
 )
-def test_what_is_no_lamp_is_told_in_a_sentence(text, words, tmp_path):
+def test_invalid_photometric_files_are_refused(text, words, tmp_path):
     with pytest.raises(InputError, match=words):
         read(tmp_path, text)
 
 
-def test_what_is_no_eulumdat_is_told_in_a_sentence(tmp_path):
+def test_invalid_eulumdat_files_are_refused(tmp_path):
     whole = eulumdat(1, [0], [np.ones(len(GAMMA))])
     for text, words in (
         (whole[:60], "too few for EULUMDAT"),
@@ -294,7 +296,7 @@ material = "paper"
     ],
 )
 def test_scene_files_have_lamps_as_sold_spots_and_the_sun(light, expected, tmp_path):
-    """White paper straight below: its radiance is 0.8 E / pi."""
+    """White paper directly below has the radiance 0.8 E / pi."""
     (tmp_path / "panel.ies").write_text(ies())
     (tmp_path / "scene.toml").write_text(f"{SCENE}[[light]]\n{light}\n")
     source = jv.files.read_scene(tmp_path / "scene.toml")

@@ -1,5 +1,5 @@
-"""Maps in scene files of this library, glTF and Mitsuba: the radiance of the middle of a texel is
-that of its number in the file."""
+"""Tests maps in scene files of this library, glTF and Mitsuba: the radiance at the centre of a
+texel is the one of its number in the file."""
 
 import base64
 import json
@@ -23,13 +23,13 @@ CODES = np.array([[[20, 60, 200], [90, 30, 250]], [[255, 128, 0], [10, 160, 70]]
 
 
 def linear(codes):
-    """sRGB's formula of its standard."""
+    """Return the linear value by the sRGB standard's formula."""
     c = codes / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def test_the_keys_of_a_map(tmp_path):
-    """A picture by sRGB, one channel of it as it is, and texels in the file."""
+    """The maps are an sRGB picture, one linear channel of it, and texels given in the file."""
     write_image(tmp_path / "codes.png", CODES)
     made = BALL.replace(
         'family = "lambert"\nalbedo = [0.2, 0.2, 0.2]',
@@ -53,7 +53,7 @@ f0 = { texels = [[0.1, 0.3]] }""",
 
 
 def grey_png(path, codes, bits, chunks=()):
-    """A grey PNG packed by hand (ISO/IEC 15948), of codes below 2^bits."""
+    """Write a grey PNG of codes below 2^bits, byte by byte (ISO/IEC 15948)."""
 
     def chunk(kind, content):
         check = zlib.crc32(kind + content)
@@ -76,11 +76,11 @@ def grey_png(path, codes, bits, chunks=()):
         *(("sbit.png", 4095), ("contradicted.png", 65535), ("100.pgm", 100), ("1023.pgm", 1023)),
     ],
 )
-def test_a_map_of_any_depth_ends_at_its_files_largest_code(name, largest, tmp_path):
-    """White of the picture is 1, whatever the bits: 1 of 1 bit, 4095 of 12 in 16."""
+def test_a_map_of_any_depth_is_scaled_by_its_largest_code(name, largest, tmp_path):
+    """White is 1 for all bit depths, for example 1 in 1 bit, and 4095 of 12 bits in 16."""
     codes = np.round(largest * np.array([[0, 1 / 3], [0.7, 1]])).astype(int)
     stem, file = name.partition(".")[0], tmp_path / name
-    if name == "sbit.png":  # 12 bits, repeated to 16
+    if name == "sbit.png":  # 12 bits, scaled to 16
         grey_png(file, codes * 16 + codes // 256, 16, [(b"sBIT", b"\x0c")])
     elif name == "contradicted.png":
         grey_png(file, codes, 16, [(b"sBIT", b"\x0c")])
@@ -127,7 +127,7 @@ UPRIGHT = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")  # as seen from abov
 
 
 def textured(tmp_path, codes=CODES, corners=UPRIGHT, scale=(1, 1, 1), **material):
-    """A square of 2 m, whose picture is `codes.png`."""
+    """Return the scene of a 2 m square whose picture is `codes.png`."""
     write_image(tmp_path / "codes.png", codes)
     data = CORNERS.tobytes() + FACES.tobytes() + corners.tobytes()
     made = content({"name": "paint", **material})
@@ -145,7 +145,7 @@ def textured(tmp_path, codes=CODES, corners=UPRIGHT, scale=(1, 1, 1), **material
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*its coat")
 def test_textures_of_gltf(tmp_path):
-    """The upper left texel is the picture's first, green is roughness and blue is metal."""
+    """The upper left texel is the picture's first, green is roughness, and blue is metalness."""
     matt = {"KHR_materials_specular": {"specularFactor": 0}}
     surface = {"baseColorTexture": {"index": 0}, "metallicFactor": 0}
     scene = textured(tmp_path, pbrMetallicRoughness=surface, extensions=matt)
@@ -173,7 +173,7 @@ def test_textures_of_gltf(tmp_path):
 @pytest.mark.parametrize("corners", [UPRIGHT, UPRIGHT * [-1, 1], UPRIGHT * [1, -1], -UPRIGHT])
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, -1, 1)])
 def test_normals_of_gltf_stay_upright_on_mirrored_charts(tmp_path, corners, scale):
-    """x of the map follows growing u, and y falling v, as the corners of the square show."""
+    """x of the map is along growing u, and y along falling v, as the corners of the square show."""
     codes = np.full((2, 2, 3), [200, 160, 230], np.uint8)
     scene = textured(
         tmp_path,
@@ -217,7 +217,7 @@ def test_textures_of_mitsuba_that_are_not_read_are_named(tmp_path):
 
 
 def relief(size=32):
-    """Heights of bumps in a picture whose rows run down, as codes of normals with y up."""
+    """Return heights of bumps as codes of normals with y up, in a picture whose rows run down."""
     row, column = np.mgrid[:size, :size] / size
     spots = np.random.default_rng(4).uniform(0.2, 0.8, (6, 2))
     height = sum(0.02 * np.exp(-((row - r) ** 2 + (column - c) ** 2) / 0.01) for r, c in spots)
@@ -228,11 +228,11 @@ def relief(size=32):
 
 
 REVERSED = np.array([0, 255, 0]) + np.array([1, -1, 1]) * relief().astype(int)
-UP = "uv = [[1, 0, 0], [0, -1, 1]]"  # the first row lies along the end of edge_v
+UP = "uv = [[1, 0, 0], [0, -1, 1]]"  # the first row is at the end of edge_v
 
 
 def quad(tmp_path, normals):
-    """A square of 1 m under the table of its normal map."""
+    """Return a 1 m square with the given normal map."""
     head, _, rest = BALL.partition("[[surface]]")
     shape = 'shape = "quad"\ncorner = [0, 0, 0]\nedge_u = [1, 0, 0]\nedge_v = [0, 1, 0]\n'
     shape += f'material = "grey"\nnormals = {{ {normals} }}\n'
@@ -247,7 +247,8 @@ def quad(tmp_path, normals):
     [(relief(), UP, False), (REVERSED, UP, True), (REVERSED, "", False), (relief(), "", True)],
 )
 def test_a_relief_whose_y_axis_is_reversed_is_named(codes, more, named, tmp_path):
-    """Where nothing is named, the radiance of the quad is that of the relief in the world."""
+    """Without a warning, the radiance of the quad equals that of the relief in world
+    coordinates."""
     write_image(tmp_path / "n.png", codes.astype(np.uint8))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -259,7 +260,7 @@ def test_a_relief_whose_y_axis_is_reversed_is_named(codes, more, named, tmp_path
     scene = jv.as_dtype(jv.Scene((surface,), (jv.DirectionalLight(toward, [1.0] * 3),)), "float32")
     rows, columns = np.array([12, 22, 8]), np.array([9, 15, 20])
     x, y, z = (2 * (relief()[rows, columns] / 255) - 1).T  # y up in the picture
-    up = 1 if more else -1  # else the picture stands on its head, and its bumps stay bumps
+    up = 1 if more else -1  # else the picture is upside down, and bumps stay bumps
     wanted = (np.stack([x, up * y, z], axis=-1) @ toward) / np.sqrt(x**2 + y**2 + z**2)
     across, down = (columns + 0.5) / len(codes), (rows + 0.5) / len(codes)
     for u, v, expected in zip(across, 1 - down if more else down, wanted, strict=True):
@@ -268,8 +269,9 @@ def test_a_relief_whose_y_axis_is_reversed_is_named(codes, more, named, tmp_path
         np.testing.assert_allclose(seen, expected * 0.2 / np.pi, rtol=2e-3)
 
 
-def test_maps_that_hold_no_normals_are_named_and_signed_ones_read(tmp_path):
-    """Components below 0 in a floating picture were doubled: z of 1 beside x of -1."""
+def test_maps_without_normals_are_named_and_signed_ones_read(tmp_path):
+    """Components below 0 in a floating-point picture were mapped as codes, which made z 1 and x
+    -1."""
     normals = 2 * (relief() / 255) - 1
     write_image(tmp_path / "n.exr", normals.astype(np.float32))
     found = quad(tmp_path, f'map = "n.exr", {UP}').normals.values

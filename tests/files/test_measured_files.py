@@ -1,6 +1,5 @@
-"""Files of measured reflectance: layouts against writers of the oracle, round trips, and every
-mistake in a file reported in one sentence.
-"""
+"""Tests files of measured reflectance: their layout against independent writers, round trips, and
+one sentence for each mistake in a file."""
 
 import re
 import struct
@@ -21,7 +20,8 @@ SHAPE = (12, 10, 8)
 
 
 def reflectance(h, d, p):
-    """Smooth in all three angles, different in the colours, symmetric under phi_d + pi."""
+    """Return a reflectance that is smooth in all angles, differs in the colours, and is symmetric
+    under phi_d + pi."""
     base = 0.2 + 0.5 * np.exp(-np.square(np.tan(h * 0.9))) * (1 + 0.3 * np.cos(2 * p) * d)
     return base[..., None] * np.array([1.0, 0.6, 0.3])
 
@@ -33,7 +33,8 @@ def write(folder, name, data):
 
 
 def refused(reader, path, *words):
-    """The message: one sentence, naming the file, with all of the words."""
+    """Return the message of a refusal, which is one sentence with the file's name and all of the
+    words."""
     with pytest.raises(InputError) as caught:
         reader(path)
     message = str(caught.value)
@@ -49,7 +50,7 @@ def refused(reader, path, *words):
 
 
 def test_merl_layout_is_the_published_one(tmp_path):
-    """Each valid bin holds what was written at its angles."""
+    """Each valid bin contains the value written at its angles."""
     data, valid = oracle.merl_bytes(reflectance, SHAPE)
     path = write(tmp_path, "paint.binary", data)
     table = files.read_merl(path)
@@ -83,9 +84,9 @@ def test_a_bin_marked_in_one_colour_was_not_measured(tmp_path):
 
 
 @pytest.mark.slow
-def test_merl_file_of_full_size_answers_as_the_published_lookup(tmp_path):
-    """90 x 90 x 180: nearest bin against the published reader's index, linear near the function
-    that was tabulated."""
+def test_a_full_size_merl_file_gives_the_published_lookup(tmp_path):
+    """With 90 x 90 x 180 bins, nearest-bin values equal the published reader's, and linear ones are
+    near the tabulated function."""
     data, _ = oracle.merl_bytes(reflectance)
     table = files.read_measured(write(tmp_path, "full.binary", data))
     assert isinstance(table, HalfDifferenceTable)
@@ -116,7 +117,7 @@ def test_merl_round_trip(tmp_path):
 
 
 def test_a_merl_head_in_another_order_is_named(tmp_path, monkeypatch):
-    """A head of 180 x 90 x 90 bins for 90 x 90 x 180; here of fewer bins."""
+    """The header gives 180 x 90 x 90 bins instead of 90 x 90 x 180. The test uses fewer bins."""
     monkeypatch.setattr(files.merl, "OF_DATABASE", SHAPE)
     data, _ = oracle.merl_bytes(reflectance, SHAPE)
     turned = struct.pack("<3i", *SHAPE[::-1]) + data[12:]
@@ -214,7 +215,7 @@ def test_a_binary_file_is_no_cornell_file(tmp_path):
 
 @pytest.mark.slow
 def test_scattered_samples_become_a_table():
-    """Samples of a known lobe at Cornell's angles."""
+    """The samples are of a known lobe at Cornell's angles."""
     theta = np.radians(np.arange(10, 81, 10.0))
     axes = np.meshgrid(theta, np.radians(np.arange(0, 80, 8.0)), np.linspace(0, np.pi, 19))
     theta_i, theta_o, phi = (axis.ravel() for axis in axes)
@@ -245,7 +246,7 @@ def test_scattered_samples_become_a_table():
 
 
 def rgl_fields(rng, **options):
-    """The oracle's tables with elevations that end at pi / 2, as in a file."""
+    """Return the oracle's tables with elevations that end at pi / 2, as in a file."""
     fields = oracle.rgl_fields(rng, **options)
     theta = fields["theta_i"]
     return fields | {"theta_i": theta * np.float32(np.pi / 2 / theta[-1])}
@@ -254,7 +255,7 @@ def rgl_fields(rng, **options):
 @pytest.mark.sweep
 @pytest.mark.parametrize("bands", [None, 5])
 def test_rgl_fields_and_round_trip(tmp_path, bands):
-    """Values against the construction written out over the same fields."""
+    """The reference writes out the construction over the same fields."""
     fields = rgl_fields(np.random.default_rng(3), bands=bands)
     path = write(tmp_path, "m.bsdf", oracle.tensor_bytes(fields))
     material = files.read_measured(path)
@@ -322,8 +323,8 @@ def test_wrong_rgl_files_are_named(tmp_path):
     )
 
 
-def test_an_rgl_header_that_cannot_be_is_named(tmp_path):
-    """Truncated in its first words, or with impossible dimensions, one of them 0."""
+def test_an_impossible_rgl_header_is_named(tmp_path):
+    """The header is cut in its first words, or has impossible dimensions, including 0."""
     data = oracle.tensor_bytes(rgl_fields(np.random.default_rng(3)))
     for length in (0, 5, 12, 13):
         refused(files.read_rgl, write(tmp_path, "cut.bsdf", data[:length]), "cut short")
@@ -355,8 +356,8 @@ def test_an_rgl_header_that_cannot_be_is_named(tmp_path):
         ({"wavelengths": np.array([400, np.nan, 600])}, ("'wavelengths'", "finite numbers")),
     ],
 )
-def test_rgl_numbers_that_cannot_be_are_named(tmp_path, new, words):
-    """Angles in degrees, values that are not densities; one number fills the whole field."""
+def test_impossible_rgl_numbers_are_named(tmp_path, new, words):
+    """Angles are in degrees, or values are not densities. One number fills the whole field."""
     (name, value), *_ = new.items()
     phi, bands = (value, None) if name == "phi_i" else ((0.0,), 3)
     fields = rgl_fields(np.random.default_rng(3), phi=phi, bands=bands)
@@ -365,8 +366,8 @@ def test_rgl_numbers_that_cannot_be_are_named(tmp_path, new, words):
     refused(files.read_rgl, path, *words)
 
 
-def test_what_the_dtype_cannot_hold_is_refused(tmp_path):
-    """1e39 is a number in float64 and infinite in float32, in which it would arrive."""
+def test_values_beyond_the_range_of_the_dtype_are_refused(tmp_path):
+    """1e39 is finite in float64, but infinite in float32, the precision of the result."""
     path = write(tmp_path, "huge.brdf", "1\n500\n0.1 0 0.1 0 1e39\n")
     assert files.read_cornell(path).values[0, 0] == 1e39
     with jax.enable_x64(False):
@@ -387,7 +388,8 @@ def test_a_colour_of_a_merl_file_that_ends_in_zeros_is_named(tmp_path):
     [(1, None), (1 / 1500, r"reflects 0\.02 % of the light"), (12, r"reflects 3\.6e\+02 % of the")],
 )
 def test_a_merl_file_in_another_unit_is_named(factor, words, tmp_path):
-    """A matt surface of albedo .3, with the scale of the database left out or applied twice."""
+    """The surface is matte with an albedo of .3, and the scale of the database is left out or
+    applied twice."""
     table = jnp.full((90, 90, 180, 3), factor * 0.3 / np.pi, jnp.float32)
     files.write_merl(tmp_path / "a.binary", HalfDifferenceTable(table))
     with warnings.catch_warnings(record=True) as said:

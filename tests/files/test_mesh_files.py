@@ -1,4 +1,4 @@
-"""Meshes from files: their triangles, their placement, and one sentence for each failure."""
+"""Tests meshes from files: their triangles, their placement, and one sentence for each failure."""
 
 import builtins
 
@@ -15,8 +15,9 @@ CUBE = trimesh.creation.box((2, 4, 6))
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".stl", ".off"])
-def test_a_cube_comes_back(tmp_path, suffix):
-    """Its corners, twelve triangles, area and volume (positive: they face outwards)."""
+def test_a_cube_is_read_back(tmp_path, suffix):
+    """Corners, twelve triangles, area and volume agree. The volume is positive, so the triangles
+    face outwards."""
     CUBE.export(tmp_path / f"cube{suffix}")
     mesh = read_mesh(tmp_path / f"cube{suffix}")
     a, b, c = np.moveaxis(np.asarray(mesh.vertices)[np.asarray(mesh.faces)], 1, 0)
@@ -28,8 +29,8 @@ def test_a_cube_comes_back(tmp_path, suffix):
     assert mesh.normals is None
 
 
-def test_polygons_and_an_own_order_in_obj(tmp_path):
-    """A quad is cut into two triangles that turn the same way; points keep the file's order."""
+def test_polygons_and_the_order_of_points_in_obj(tmp_path):
+    """A quad becomes two triangles of the same orientation, and points keep the file's order."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nf 1 2 3 4\n")
     mesh = read_mesh(tmp_path / "a.obj")
     np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]])
@@ -38,7 +39,7 @@ def test_polygons_and_an_own_order_in_obj(tmp_path):
 
 
 def test_it_is_scaled_turned_and_moved(tmp_path):
-    """x' = position + scale (x e_1 + y e_2 + z e_3), the rows e of the rotation."""
+    """x' = position + scale (x e_1 + y e_2 + z e_3), with the rows e of the rotation."""
     CUBE.export(tmp_path / "a.ply")
     rows = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])
     plain = read_mesh(tmp_path / "a.ply")
@@ -73,7 +74,7 @@ def test_smooth_normals_of_a_sphere_point_outwards(tmp_path):
 
 
 def test_triangles_without_area_are_left_out_and_counted(tmp_path):
-    """A corner named twice, and three corners on a line, among four valid triangles."""
+    """A corner used twice, and three corners on a line, are among four valid triangles."""
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 2 0 0\n"
     sound = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     (tmp_path / "a.obj").write_text(points + "f 1 1 2\n" + sound + "f 1 2 5\n")

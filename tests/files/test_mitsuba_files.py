@@ -1,4 +1,5 @@
-"""Scenes of Mitsuba: its own pictures come back, and what is not read is refused by name."""
+"""Tests scenes of Mitsuba: its own pictures are reproduced, and unsupported content is refused by
+name."""
 
 import warnings
 
@@ -20,7 +21,7 @@ BALL = '<shape type="sphere" id="ball"/><emitter type="constant"/>'
 def read(folder, *parts, version="3.0.0"):
     (folder / "a.xml").write_text(f'<scene version="{version}">{"".join(parts)}</scene>')
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a path without end
+        warnings.simplefilter("ignore")  # paths without a limit
         return read_scene(folder / "a.xml")
 
 
@@ -28,8 +29,8 @@ def read(folder, *parts, version="3.0.0"):
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", ["shapes", "lens", "lamps", "metals", "maps"])
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")
-def test_pictures_are_those_of_mitsuba(name, tmp_path):
-    """The mean of all pixels, and the rms difference, within the noise of both."""
+def test_pictures_equal_mitsubas(name, tmp_path):
+    """The mean of all pixels and the RMS difference are within the noise of both."""
     mitsuba_pictures.write_scenes(tmp_path)
     write_image(tmp_path / "sky.exr", mitsuba_pictures.sky())
     for file, codes in mitsuba_pictures.textures().items():
@@ -50,7 +51,7 @@ def test_pictures_are_those_of_mitsuba(name, tmp_path):
 
 
 def test_shapes_stand_where_their_corners_are(tmp_path):
-    """A point of each shape, mapped by hand."""
+    """A point of each shape is mapped by hand."""
     turned = """<transform name="to_world"><scale x="2" y="3" z="4"/><rotate z="1" angle="90"/>
     <translate x="1" y="2" z="3"/></transform>"""
     ball = """<shape type="sphere"><point name="center" x="1" y="0" z="0"/>
@@ -82,7 +83,7 @@ def test_shapes_stand_where_their_corners_are(tmp_path):
     assert isinstance(sphere, Sphere)
     np.testing.assert_allclose(sphere.centre, [0, 3, 1], atol=1e-6)
     np.testing.assert_allclose(sphere.radius, 6, rtol=1e-6)
-    assert isinstance(disc, Disc)  # left and right are mirrored, front and back are not
+    assert isinstance(disc, Disc)  # mirrored left and right, but not front and back
     np.testing.assert_allclose(disc.normal / np.linalg.norm(disc.normal), [0, 0, 1], atol=1e-6)
     front = np.cross(mirrored.edge_u, mirrored.edge_v)
     np.testing.assert_allclose(front / np.linalg.norm(front), [0, 0, 1], atol=1e-6)
@@ -98,12 +99,13 @@ def test_shapes_stand_where_their_corners_are(tmp_path):
         ('<float name="fov" value="40"/><string name="fov_axis" value="diagonal"/>', 32.4686),
         ('<string name="focal_length" value="50mm"/>', 38.1848),
         ("", 38.1848),  # the default
-        ('<string name="fov_axis" value="y"/>', 38.1848),  # of a fov alone
+        ('<string name="fov_axis" value="y"/>', 38.1848),  # of a fov without an axis
         ('<float name="fov" value="40"/><float name="principal_point_offset_y" value="-0.0"/>', 40),
     ],
 )
 def test_fields_of_view(settings, degrees, tmp_path):
-    """By the tangents of a picture 4 wide and 3 high, and of a film of 36 mm x 24 mm."""
+    """The reference uses the tangents of a picture 4 wide and 3 high, and of a film of 36 mm x 24
+    mm."""
     sensor = mitsuba_pictures.camera("perspective", settings)
     view = read(tmp_path, sensor, BALL).view
     half = view.pixel_pitch * view.resolution[1] / 2 / view.focal_length
@@ -130,7 +132,7 @@ def test_an_old_file_has_the_defaults_of_its_version(tmp_path):
 
 
 def test_an_old_file_is_read_with_its_names(tmp_path):
-    """Versions before 2 join words by capitals; what is included may use the defaults."""
+    """Versions before 2 join words by capital letters. Included files may use the defaults."""
     (tmp_path / "b.xml").write_text('<scene version="0.6.0"><shape type="sphere"/></scene>')
     source = read(
         tmp_path,
@@ -150,7 +152,7 @@ def test_an_old_file_is_read_with_its_names(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*max_depth has no limit")
 def test_plastics_are_bodies_under_coats(tmp_path):
-    """Their albedo is that which returns as much."""
+    """Their body's albedo is the one that returns as much light."""
     index = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
     grey = '<rgb name="diffuse_reflectance" value="0.9 0.5 0.1"/>'
     inside = '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape><emitter type="constant"/>'
@@ -173,7 +175,7 @@ def test_plastics_are_bodies_under_coats(tmp_path):
 
 
 def test_lights_without_a_colour_are_white(tmp_path):
-    """Of sRGB, as Mitsuba's are; `<spectrum>` of one value is of equal energy."""
+    """White is sRGB's, as in Mitsuba. A `<spectrum>` of one value has equal energy."""
     lamp = '<shape type="sphere"><emitter type="area">{}</emitter></shape>'
     for inside, white in (("", True), ('<spectrum name="radiance" value="1"/>', False)):
         surface = read(tmp_path, SENSOR, lamp.format(inside)).scene.surfaces[0]
@@ -188,11 +190,11 @@ def test_lights_without_a_colour_are_white(tmp_path):
     ):
         lamp = f'<shape type="sphere"/><emitter type="{kind}">{inside}</emitter>'
         light = read(tmp_path, SENSOR, lamp).scene.lights[0]
-        np.testing.assert_allclose(getattr(light, name), 1, rtol=1e-6)  # a sky: of each pixel
+        np.testing.assert_allclose(getattr(light, name), 1, rtol=1e-6)  # a sky: each pixel
 
 
-def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
-    """As in Mitsuba's documentation; its width is twice the scale."""
+def test_an_orthographic_camera_may_be_scaled_only_across(tmp_path):
+    """As in Mitsuba's documentation. The width is twice the scale."""
     turned = f'<transform name="to_world"><scale x="10" y="10"/>{mitsuba_pictures.LOOK}</transform>'
     view = read(tmp_path, f'<sensor type="orthographic">{turned}</sensor>', BALL).view
     assert view.pixel_pitch * view.resolution[1] == pytest.approx(20)
@@ -320,7 +322,7 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
         ([SENSOR, 2 * '<bsdf type="diffuse" id="red"/>', BALL], "two objects have the id 'red'"),
     ],
 )
-def test_what_is_not_read_is_named(parts, words, tmp_path):
+def test_unsupported_content_is_named(parts, words, tmp_path):
     with pytest.raises(InputError, match=words) as caught:
         read(tmp_path, *parts)
     assert "a.xml" in str(caught.value)
@@ -353,8 +355,8 @@ def test_clipping_planes_that_are_not_used_are_named(tmp_path):
         ]
 
 
-def test_a_black_body_shines_by_plancks_law(tmp_path):
-    """h, c and k of the SI; per nm, as a table of wavelengths in nm gives it."""
+def test_a_black_body_emits_by_plancks_law(tmp_path):
+    """The reference uses h, c and k of the SI, per nm, like a table of wavelengths in nm."""
     nm = np.arange(360.0, 831.0)
     planck = 2 * 6.62607015e-34 * 299792458.0**2 / (nm * 1e-9) ** 5
     planck /= np.expm1(6.62607015e-34 * 299792458.0 / (nm * 1e-9 * 1.380649e-23 * 5000))
@@ -403,7 +405,7 @@ def test_a_black_body_shines_by_plancks_law(tmp_path):
         ),
     ],
 )
-def test_what_nothing_reads_is_refused(tmp_path, part, said):
-    """One of two values was taken, and an attribute of another name left out."""
+def test_unread_mitsuba_content_is_refused(tmp_path, part, said):
+    """Earlier versions used one of two values, and ignored an attribute of another name."""
     with pytest.raises(InputError, match=said):
         read(tmp_path, SENSOR, BALL, part)

@@ -1,5 +1,5 @@
-"""Scenes of pbrt: they hold what the same scenes of Mitsuba and TOML hold, and what is not read is
-refused by name."""
+"""Tests pbrt scenes: they equal the same scenes in Mitsuba's format and in TOML, and unsupported
+content is refused by name."""
 
 import warnings
 
@@ -16,7 +16,7 @@ from jaxvision.errors import InputError
 from jaxvision.files import read_scene
 from jaxvision.files.images import write_image
 
-SAME_AXES = "Scale -1 1 1 LookAt 0 -4 1.5  0 0 .5  0 0 1"  # right-handed, as Mitsuba's
+SAME_AXES = "Scale -1 1 1 LookAt 0 -4 1.5  0 0 .5  0 0 1"  # right-handed, as in Mitsuba
 FILM = 'Film "rgb" "integer xresolution" 16 "integer yresolution" 12 PixelFilter "box"'
 HEAD = f'{SAME_AXES} Camera "perspective" "float fov" 40 {FILM}'
 BALL = 'Shape "sphere"'
@@ -30,7 +30,7 @@ def read(folder, world, head=HEAD, name="a.pbrt"):
 
 
 def same(one, other):
-    """Whether two scenes hold the same records, and numbers up to rounding."""
+    """Check that two scenes have the same records, with numbers equal up to rounding."""
     for record, twin in ((one.scene, other.scene), (one.view, other.view)):
         assert jax.tree.structure(record) == jax.tree.structure(twin)
         for a, b in zip(jax.tree.leaves(record), jax.tree.leaves(twin), strict=True):
@@ -40,8 +40,8 @@ def same(one, other):
     )
 
 
-def test_a_scene_is_that_of_mitsuba(tmp_path):
-    """The same camera, shapes, materials and lights in both files make the same records."""
+def test_a_scene_equals_mitsubas(tmp_path):
+    """The same camera, shapes, materials and lights in both formats make the same records."""
     (tmp_path / "corner.ply").write_text(mitsuba_pictures.CORNER)
     turned = '<scale value="2"/><rotate x="1" y="0" z="0" angle="50"/><translate x="1" y=".3"/>'
     (tmp_path / "a.xml").write_text(
@@ -123,8 +123,8 @@ intensity = [20, 10, 30]
 @pytest.mark.slow
 @pytest.mark.parametrize("floor", ["bilinearmesh", "trianglemesh"])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_a_scene_has_the_pixels_of_a_toml_file(floor, mirrored, tmp_path):
-    """With the axes of the world as they are, and with x reversed by a left-handed camera."""
+def test_a_scene_renders_as_a_toml_file(floor, mirrored, tmp_path):
+    """The world's axes are unchanged, or x is reversed by a left-handed camera."""
     x = -1 if mirrored else 1
     camera = "LookAt 0 -4 1.5  0 0 .5  0 0 1" if mirrored else SAME_AXES
     (tmp_path / "a.toml").write_text(TOML)
@@ -167,9 +167,9 @@ def test_a_scene_has_the_pixels_of_a_toml_file(floor, mirrored, tmp_path):
         ('"float fov" 40', '"integer pixelbounds" [40 144 12 60]', (160, 120), None),
     ],
 )
-def test_points_lie_where_pbrts_camera_sees_them(axes, camera, film, size, window, tmp_path):
-    """By the camera's axes: x right, y up, z forward, left-handed; the fov is that of the shorter
-    side."""
+def test_points_are_projected_as_by_pbrts_camera(axes, camera, film, size, window, tmp_path):
+    """pbrt's camera has x right, y up and z forward, left-handed, and the fov is that of the
+    shorter side."""
     head = f"""{axes} LookAt 1 -4 1.5  .2 .3 .5  .1 0 1 Camera "perspective" {camera}
     Film "rgb" "integer xresolution" {size[0]} "integer yresolution" {size[1]} {film}"""
     point = np.array([0.3, 0.1, 0.7])
@@ -185,7 +185,7 @@ def test_points_lie_where_pbrts_camera_sees_them(axes, camera, film, size, windo
     elif axes:
         a = np.array([1, 2, 3]) / np.sqrt(14)
         seen = seen * [-2, 2, 2]
-        turn = np.radians(30)  # Rodrigues
+        turn = np.radians(30)  # Rodrigues' formula
         seen = (
             seen * np.cos(turn)
             + np.cross(a, seen) * np.sin(turn)
@@ -207,9 +207,10 @@ def test_points_lie_where_pbrts_camera_sees_them(axes, camera, film, size, windo
 
 
 @pytest.mark.slow
-def test_the_light_of_a_coat_is_that_of_pbrts_walk(tmp_path):
-    """Walks of photons through the coat. pbrt ends them after 5 reflections by the body (10
-    events), which loses (albedo times returned share)^5 of the body's light, here named."""
+def test_the_light_of_a_coat_equals_pbrts_walk(tmp_path):
+    """The reference is a random walk through the coat. pbrt ends walks after 5 reflections by the
+    body (10 events), which loses the 5th power of (albedo times internal reflectance) of the body's
+    light. The warning gives this loss."""
     for rho, cosine in ((0.5, 1.0), (0.9, 0.4)):
         text = f"""LightSource "infinite" Material "coateddiffuse" "float thickness" 0
         "rgb reflectance" [{rho} {rho} {rho}] {BALL}"""
@@ -229,8 +230,9 @@ def test_the_light_of_a_coat_is_that_of_pbrts_walk(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_rough_coat_is_brighter_than_pbrts_by_what_its_warning_says():
-    """At albedo 0.5, over two views: 3, 9 and 15 %, of light that facets stop."""
+def test_a_rough_coat_exceeds_pbrts_by_the_stated_loss():
+    """At albedo 0.5, averaged over two views, the difference is 3, 9 and 15 %: the light that
+    facets block."""
     for alpha, loss in ((0.1, 0.03), (0.2, 0.09), (0.3, 0.15)):
         coat = jv.Coated(jv.Lambert([0.5 / np.pi]), jv.Dielectric([1.5]), alpha)
         share = []
@@ -241,8 +243,8 @@ def test_a_rough_coat_is_brighter_than_pbrts_by_what_its_warning_says():
 
 
 def test_amounts_of_light(tmp_path):
-    """Closed forms for power (lm) and illuminance (lux): the colour has this luminance, unless it
-    is rgb, whose level counts."""
+    """Power (lm) and illuminance (lux) have closed forms. They set the luminance of the colour,
+    except for rgb, whose own level counts."""
     world = f"""
     LightSource "point" "blackbody I" 3000 "float power" 20
     LightSource "spot" "spectrum I" [400 7 700 7] "float power" 20 "float conedeltaangle" 30
@@ -260,7 +262,7 @@ def test_amounts_of_light(tmp_path):
     point, spot, distant, sky, rgb = found.lights
     assert luminance @ np.asarray(point.intensity) == pytest.approx(20 / (4 * np.pi), rel=1e-2)
     assert point.intensity[0] > point.intensity[2]
-    # the mean of t^2 (3 - 2 t) between the cones is a half
+    # the mean of t^2 (3 - 2 t) between the cones is one half
     assert luminance @ np.asarray(spot.intensity) == pytest.approx(
         20 / (np.pi * (1 - np.cos(np.pi / 6))), rel=1e-2
     )
@@ -274,8 +276,8 @@ def test_amounts_of_light(tmp_path):
 
 
 def on_the_square(n):
-    """(n, n, 3) the directions of the pixels of a square picture of the sphere, by the map from the
-    square to the sphere."""
+    """Return the directions, (n, n, 3), of the pixels of a square picture of the sphere in pbrt's
+    equal-area map."""
     u, v = np.meshgrid((np.arange(n) + 0.5) / n * 2 - 1, (np.arange(n) + 0.5) / n * 2 - 1)
     d = 1 - (np.abs(u) + np.abs(v))
     r = 1 - np.abs(d)
@@ -286,9 +288,9 @@ def on_the_square(n):
 
 
 @pytest.mark.parametrize("axes", [SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"])
-def test_a_goniometric_picture_is_that_of_its_lamp(axes, tmp_path):
-    """Intensity 2 + w . b of directions w, whose picture has the lamp's y axis as its own z axis;
-    the flux is its power."""
+def test_a_goniometric_picture_gives_the_lamps_intensity(axes, tmp_path):
+    """The intensity is 2 + w . b for directions w. The picture has the lamp's y axis as its z axis,
+    and the flux is its power."""
     b = np.array([0.3, -0.5, 0.9])
     picture = 2 + on_the_square(64) @ b
     write_image(tmp_path / "lamp.exr", np.repeat(picture[..., None], 3, axis=2).astype(np.float32))
@@ -300,7 +302,7 @@ def test_a_goniometric_picture_is_that_of_its_lamp(axes, tmp_path):
     np.testing.assert_allclose(lamp.position, [x, 2, 3], atol=1e-6)
     for w in np.array([[0.6, 0.64, 0.48], [-0.8, 0, 0.6], [0, -0.6, -0.8]]):
         seen = jv.incident(lamp, jnp.asarray(lamp.position) + 2 * jnp.asarray(w, jnp.float32))
-        own = np.array([w[1], -x * w[0], w[2]])  # turned back by 90 degrees
+        own = np.array([w[1], -x * w[0], w[2]])  # rotated back by 90 degrees
         intensity = 3 * (2 + own[[0, 2, 1]] @ b)
         np.testing.assert_allclose(seen.irradiance, intensity / 4 * np.array([1, 2, 4]), rtol=0.02)
     np.testing.assert_allclose(jv.lights.flux(of_power), [50, 100, 200], rtol=5e-3)
@@ -308,7 +310,8 @@ def test_a_goniometric_picture_is_that_of_its_lamp(axes, tmp_path):
 
 @pytest.mark.parametrize("axes", [SAME_AXES, "LookAt 0 -4 1.5  0 0 .5  0 0 1"])
 def test_a_square_picture_of_the_sky_is_resampled(axes, tmp_path):
-    """Smooth radiance 2 + w of directions w; and the sun's pixel keeps its light."""
+    """The radiance is 2 + w for directions w, and one pixel is a sun, whose total light is
+    preserved."""
     n, scale = 64, 2.0
     w = on_the_square(n)
     picture = (2 + w).astype(np.float32)
@@ -326,7 +329,7 @@ def test_a_square_picture_of_the_sky_is_resampled(axes, tmp_path):
         to = np.array(
             [x * np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.cos(theta)]
         )
-        own = scale * (2 + np.array([to[1], -to[0], to[2]]))  # turned back by 90 degrees
+        own = scale * (2 + np.array([to[1], -to[0], to[2]]))  # rotated back by 90 degrees
         np.testing.assert_allclose(sky.radiance[row, column], own, atol=0.12)
     edges = np.cos(np.pi * np.arange(h + 1) / h)
     solid = (edges[:-1] - edges[1:])[:, None] * np.pi / h
@@ -338,7 +341,7 @@ def test_a_square_picture_of_the_sky_is_resampled(axes, tmp_path):
 
 
 def test_materials_and_textures(tmp_path):
-    """The numbers of each, by hand; maps are placed by u and v of pbrt, which count from below."""
+    """The reference numbers are by hand. Maps use pbrt's u and v, where v counts from below."""
     write_image(tmp_path / "a.png", np.full((2, 2, 3), 128, np.uint8))
     world = f"""LightSource "infinite"
     Texture "picture" "spectrum" "imagemap" "string filename" "a.png" "float vscale" 2
@@ -379,9 +382,9 @@ def test_materials_and_textures(tmp_path):
 
 
 def test_metals_by_name_have_their_colours(tmp_path):
-    """Also of several in one line. A textbook's reflectances at normal incidence, in linear sRGB,
-    are of other measurements, which differ by up to 0.06 (Akenine-Moller, Haines and Hoffman,
-    "Real-Time Rendering")."""
+    """Several metals may be named in one line. The textbook's reflectances at normal incidence, in
+    linear sRGB, are of other measurements and differ by up to 0.06 (Akenine-Moller, Haines and
+    Hoffman, "Real-Time Rendering")."""
     known = {
         "Cu": [0.955, 0.638, 0.538],
         "Ag": [0.972, 0.960, 0.915],
@@ -395,11 +398,12 @@ def test_metals_by_name_have_their_colours(tmp_path):
     world = f'LightSource "infinite" {" ".join(materials)} Material "conductor" {BALL}'
     found = [surface.material.interface.f0 for surface in read(tmp_path, world).scene.surfaces]
     np.testing.assert_allclose(found[:4], np.minimum(list(known.values()), 1), atol=0.065)
-    np.testing.assert_array_equal(found[4], found[0])  # copper is the default
+    np.testing.assert_array_equal(found[4], found[0])  # the default is copper
 
 
-def test_the_front_of_a_mesh_is_that_of_its_normals(tmp_path):
-    """Of a triangle that its normals contradict, of one in a mirrored world, and reversed ones."""
+def test_the_front_of_a_mesh_is_given_by_its_normals(tmp_path):
+    """The normals contradict the triangle's orientation, or the world is mirrored, or the
+    orientation is reversed."""
     flat = '"point3 P" [0 0 0 1 0 0 0 1 0]'
     down = '"normal N" [0 0 -1 0 0 -1 0 0 -1]'
     cases = [("", flat, 1), ("ReverseOrientation", flat, -1), ("Scale 1 -1 1", flat, 1)]
@@ -474,11 +478,11 @@ def test_the_front_of_a_mesh_is_that_of_its_normals(tmp_path):
         ),
     ],
 )
-def test_what_is_not_read_is_named(world, words, tmp_path):
+def test_unsupported_content_is_named(world, words, tmp_path):
     (tmp_path / "c.ply").write_text(mitsuba_pictures.CORNER)
     (tmp_path / "b.pbrt").write_text('Include "b.pbrt"')
     whole = f'LightSource "infinite" {BALL} {world}'
-    if words is None:  # an unused material is not converted
+    if words is None:  # unused materials are not converted
         assert len(read(tmp_path, whole).surfaces) == 1
         return
     with pytest.raises(InputError, match=words) as caught:
@@ -502,7 +506,7 @@ def test_what_is_not_read_is_named(world, words, tmp_path):
         ("Transform [1 0 0 1  0 1 0 0  0 0 1 0  0 0 0 1]", "is a projection"),
     ],
 )
-def test_options_that_are_not_read_are_named(head, words, tmp_path):
+def test_unsupported_options_are_named(head, words, tmp_path):
     with pytest.raises(InputError, match=words):
         read(tmp_path, f'LightSource "infinite" {BALL}', head)
 
@@ -528,10 +532,10 @@ def test_differences_from_pbrt_are_named(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("alpha", "most"), [(0.045, 0.05), (0.1, 0.035), (0.3, 0.01)])
-def test_metal_under_a_coat_is_that_of_a_walk(alpha, most, tmp_path):
-    """Metal of the reflectance 0.9 within the coat, by photons through a smooth coat of optical
-    depth 0.05."""
-    n, k = np.array([0.8, 2.4]), np.array([7.6, 7.2])  # whose index is divided by 1.5 in the coat
+def test_metal_under_a_coat_equals_a_walk(alpha, most, tmp_path):
+    """A random walk passes a smooth coat of optical depth 0.05 to metal of reflectance 0.9 inside
+    the coat."""
+    n, k = np.array([0.8, 2.4]), np.array([7.6, 7.2])  # relative to the coat's 1.5
     f0 = ((n / 1.5 - 1) ** 2 + (k / 1.5) ** 2) / ((n / 1.5 + 1) ** 2 + (k / 1.5) ** 2)
     world = f"""LightSource "infinite" Material "coatedconductor" "float thickness" .05
     "float conductor.roughness" {alpha**2} "spectrum conductor.eta" [400 {n[0]} 700 {n[0]}]
@@ -545,7 +549,7 @@ def test_metal_under_a_coat_is_that_of_a_walk(alpha, most, tmp_path):
 
 
 def test_a_mesh_of_a_file_has_its_texture_coordinates(tmp_path):
-    """Of a PLY, as those of the same triangles in the scene."""
+    """The coordinates in a PLY file equal those of the same triangles in the scene."""
     write_image(tmp_path / "a.png", np.full((2, 2, 3), 128, np.uint8))
     points = [[0, 0, 0, 0.1, 0.2], [1, 0, 0, 0.9, 0.2], [1, 1, 0, 0.8, 0.7], [0, 1, 0, 0.1, 0.9]]
     names = "\n".join(f"property float {name}" for name in "xyzuv")
@@ -570,7 +574,7 @@ def test_a_mesh_of_a_file_has_its_texture_coordinates(tmp_path):
             np.testing.assert_allclose(*order, atol=1e-6)
 
 
-def test_a_measured_material_is_that_of_its_file(tmp_path):
+def test_a_measured_material_equals_its_file(tmp_path):
     fields = measured.rgl_fields(np.random.default_rng(2))
     (tmp_path / "a.bsdf").write_bytes(measured.tensor_bytes(fields))
     world = f'LightSource "infinite" Material "measured" "string filename" "a.bsdf" {BALL}'

@@ -1,4 +1,4 @@
-"""Raw files and FITS against bytes written here, and by astropy."""
+"""Tests raw files and FITS against bytes written by the tests and by astropy."""
 
 import datetime
 import struct
@@ -33,7 +33,7 @@ def test_raw_files_give_the_mosaic_and_its_settings(exif_apart, tmp_path, codes)
 
 
 def test_raw_files_give_the_black_level_of_each_site(tmp_path, codes):
-    """In the order of the pattern, BGGR, as a rig has it."""
+    """The order is that of the pattern, BGGR, as in a rig."""
     pytest.importorskip("rawpy")
     for name in ("scene_1-8s.dng", "scene_1-2s.dng"):
         (tmp_path / name).write_bytes(dng(codes, black=(60, 62, 63, 68)))
@@ -61,7 +61,7 @@ def test_fits_files_give_their_numbers_and_header(tmp_path, codes):
 
 
 def test_raw_files_whose_pixels_or_head_are_damaged(tmp_path, codes):
-    """The pixels are read after the file is opened, and the head by another library."""
+    """The pixels are read after the file is opened, and the header by another library."""
     whole, path = dng(codes), tmp_path / "a.dng"
     path.write_bytes(whole[:-100])
     for read in (read_image, read_settings):
@@ -87,7 +87,7 @@ CARDS = {
 
 @pytest.mark.parametrize("damage", CARDS)
 @pytest.mark.filterwarnings("ignore")
-def test_fits_with_a_damaged_head(damage, tmp_path, codes):
+def test_fits_with_a_damaged_header(damage, tmp_path, codes):
     fits = pytest.importorskip("astropy.io.fits")
     path = tmp_path / "a.fits"
     fits.writeto(path, codes)
@@ -124,7 +124,8 @@ def test_an_orientation_of_a_raw_file_is_named(tmp_path, codes):
 
 @pytest.mark.parametrize(("second", "told"), [(0, True), (65537, False)])
 def test_a_second_raw_picture_of_a_dng_is_named(tmp_path, recwarn, second, told):
-    """A preview, then two mosaics, of which the second is a frame of its own or a smaller copy."""
+    """After a preview the file has two mosaics. The second is a frame of its own or a smaller
+    copy."""
     tifffile = pytest.importorskip("tifffile")
     raw = np.random.default_rng(0).integers(64, 4000, (64, 96)).astype(np.uint16)
     head = [(50706, "B", 4, bytes([1, 4, 0, 0]), True), (50708, "s", 0, "camera", True)]

@@ -1,4 +1,5 @@
-"""Cameras and materials to files and back, with the draws of a fit; bands that they predict."""
+"""Tests files of cameras and materials, with the draws of a fit, and intervals predicted from
+them."""
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ SHIPPED = ["ideal", "emva1288", pytest.param("consumer_bayer", marks=pytest.mark
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_camera_comes_back_bit_equal(tmp_path, name):
+def test_a_camera_is_read_back_bit_by_bit(tmp_path, name):
     camera, file = jv.read_camera(name), tmp_path / "camera.toml"
     jv.write_camera(camera, file, about="one that ships")
     assert eqx.tree_equal(jv.read_camera(file), camera)
@@ -33,18 +34,18 @@ MATERIALS = [
 
 
 @pytest.mark.parametrize("material", MATERIALS, ids=lambda x: type(x).__name__)
-def test_a_material_comes_back_bit_equal(tmp_path, material):
+def test_a_material_is_read_back_bit_by_bit(tmp_path, material):
     jv.write_material(material, tmp_path / "material.toml")
     assert eqx.tree_equal(jv.read_material(tmp_path / "material.toml"), material)
 
 
 def drawn(material, count=10):
-    """The exponent differs from draw to draw, nothing else."""
+    """Return draws of a material that differ only in the exponent."""
     many = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), material)
     return eqx.tree_at(lambda m: m.exponent, many, 20 + jnp.arange(1.0 * count))
 
 
-def test_a_sensor_comes_back_bit_equal_and_is_told_its_table(tmp_path):
+def test_a_sensor_is_read_back_bit_by_bit_and_needs_its_table(tmp_path):
     sensor, file = jv.read_camera("emva1288").sensor, tmp_path / "sensor.toml"
     jv.write_sensor(sensor, file, about="of a camera")
     assert eqx.tree_equal(jv.read_sensor(file), sensor)
@@ -55,7 +56,7 @@ def test_a_sensor_comes_back_bit_equal_and_is_told_its_table(tmp_path):
         jv.write_sensor(sensor, tmp_path / "sensor.txt")
 
 
-def test_draws_lie_beside_and_are_thinned(tmp_path):
+def test_draws_are_stored_beside_the_record_and_thinned(tmp_path):
     file, material = tmp_path / "gloss.toml", MATERIALS[1]
     jv.write_material(material, file, draws=drawn(material))
     assert eqx.tree_equal(jv.read_material(file), material)
@@ -66,7 +67,7 @@ def test_draws_lie_beside_and_are_thinned(tmp_path):
     assert list(np.load(tmp_path / "gloss.npz")) == [".exponent"]
 
 
-def test_draws_that_are_none_are_refused(tmp_path):
+def test_invalid_draws_are_refused(tmp_path):
     file, material = tmp_path / "gloss.toml", MATERIALS[1]
     jv.write_material(material, file)
     with pytest.raises(InputError, match=r"no draws lie beside gloss\.toml"):
@@ -95,7 +96,9 @@ def test_draws_that_are_none_are_refused(tmp_path):
     beside = file.with_suffix(".npz")
     content = beside.read_bytes()
     directory = content.rindex(b"PK\1\2")
-    unknown = content[: directory + 10] + b"\x63" + content[directory + 11 :]  # a compression
+    unknown = (  # an unsupported compression
+        content[: directory + 10] + b"\x63" + content[directory + 11 :]
+    )
     for damaged in (b"PK\x03\x04 cut short", content[:-9], unknown):
         beside.write_bytes(damaged)
         with pytest.raises(InputError, match=r"\.npz: not a file of draws"):
@@ -103,8 +106,8 @@ def test_draws_that_are_none_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_sensor_of_a_noise_calibration_predicts_levels_that_it_has_not_seen(tmp_path):
-    """Flats and darks to the report of the command, whose sensor.toml predicts another level."""
+def test_a_calibrated_sensor_predicts_levels_that_were_not_measured(tmp_path):
+    """The command calibrates from flats and darks, and its sensor.toml predicts another level."""
     truth = jv.Sensor(
         shot_noise=jv.PoissonShotNoise(),
         exposure_time=0.01,

@@ -1,4 +1,4 @@
-"""Scene files: valid ones become records, and each mistake is reported in one sentence."""
+"""Tests scene files: valid ones become records, and each mistake is one sentence."""
 
 from dataclasses import replace
 from functools import partial
@@ -70,7 +70,7 @@ def read(folder, text, name="a.toml"):
 
 
 def same(got, wanted):
-    """Equal records, with numbers equal to float32."""
+    """Check that two records are equal, with numbers equal in float32."""
     assert jax.tree.structure(got) == jax.tree.structure(wanted)
     for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(a, b, rtol=3e-7, atol=1e-9)
@@ -81,7 +81,7 @@ def material_of(folder, text, *, head=""):
     return read(folder, head + CAMERA + LIGHT + made + BALL).scene.surfaces[0].material
 
 
-# ------------------------------------------------ what a file says
+# ------------------------------------------------ valid files
 
 
 def test_dtype_names_and_settings(tmp_path):
@@ -187,8 +187,9 @@ def test_lights_and_ambient(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_environment_turns_its_middle_and_top(tmp_path):
-    """The picture's middle column lies along `toward`, its left quarter to the left."""
+def test_an_environment_is_oriented_by_its_centre_and_top(tmp_path):
+    """The picture's centre column is in the direction `toward`, and its left quarter to the
+    left."""
     picture = np.zeros((32, 64, 3), np.float32)
     picture[3:, 30:34, 0] = 1  # the middle
     picture[3:, 14:18, 1] = 1  # a quarter to the left
@@ -210,7 +211,7 @@ def chief(view, row, column):
 
 
 def test_field_of_view_spans_the_width(tmp_path):
-    """The edges of the outer pixels of the middle row lie 60 degrees apart."""
+    """The outer edges of the centre row are 60 degrees apart."""
     view = read(tmp_path, SCENE).view
     sides = [np.asarray(chief(view, 14.5, column).x) for column in (-0.5, 39.5)]
     np.testing.assert_allclose(np.degrees(np.arcsin(sides)), [-30, 30], rtol=1e-6)
@@ -263,7 +264,8 @@ def lens_scene(tmp_path, effects, lens=LENS):
 
 
 def test_effects_of_a_lens(tmp_path):
-    """A file states the same records as Python, and a picture of radiance says what it lacks."""
+    """The file and Python give the same records, and a picture of radiance says which effects it
+    lacks."""
     file = lens_scene(tmp_path, EFFECTS)
     wanted = {
         "aperture": scene.AnnularAperture(0.4),
@@ -304,7 +306,7 @@ def test_blades_and_an_aperture_exclude_each_other(tmp_path):
 
 
 def spectral_file(folder):
-    """A smooth reflectance at 380, 390, ... 780 nm, and as colour-science's own record."""
+    """Write a smooth reflectance at 380, 390, ... 780 nm, and return its values."""
     nm = np.arange(380, 781, 10.0)
     values = 0.5 + 0.4 * np.sin(nm / 90)
     lines = ["wavelength,other,wanted"] + [f"{w},1,{v}" for w, v in zip(nm, values, strict=True)]
@@ -312,7 +314,7 @@ def spectral_file(folder):
     return nm, values
 
 
-def test_a_spectrum_with_wavelengths_is_looked_up(tmp_path):
+def test_a_spectrum_is_averaged_over_the_bands(tmp_path):
     nm, values = spectral_file(tmp_path)
     paint = 'family = "mirror"\nreflectance = {file = "paint.csv", column = "wanted", scale = 0.5}'
     head = "wavelengths = {first = 350, last = 800, step = 25}\n"
@@ -322,19 +324,19 @@ def test_a_spectrum_with_wavelengths_is_looked_up(tmp_path):
     np.testing.assert_allclose(found.wavelengths, grid * 1e-9)
     seen = found.scene.surfaces[0].material.reflectance
     np.testing.assert_allclose(seen, 0.5 * np.interp(grid, nm, values), rtol=1e-6)
-    fine = np.arange(-12.5, 12.5, 0.005) + 0.0025  # light is the mean over its band
-    inside = grid[2:-2, None] + fine  # the bands all of which the table covers
+    fine = np.arange(-12.5, 12.5, 0.005) + 0.0025  # values are means over the band
+    inside = grid[2:-2, None] + fine  # bands inside the table
     expected = np.interp(inside, nm, values).mean(axis=1)
     intensity = np.asarray(found.scene.lights[0].intensity)
     np.testing.assert_allclose(intensity[2:-2], expected, rtol=1e-6)
-    half = np.linspace(380, 387.5, 10_001)  # all that the table has of the band at 375 nm
+    half = np.linspace(380, 387.5, 10_001)  # the part of the band at 375 nm in the table
     np.testing.assert_allclose(intensity[1], np.interp(half, nm, values).mean() * 0.3, rtol=1e-6)
-    np.testing.assert_array_equal(intensity[[0, -1]], 0)  # beyond its table there is no light
+    np.testing.assert_array_equal(intensity[[0, -1]], 0)  # there is no light outside the table
 
 
 @pytest.mark.slow
 def test_a_reflectance_in_rgb_is_its_colour_under_d65(tmp_path):
-    """Against colour-science's own integration, at 1 nm, of the same spectrum."""
+    """The reference is colour-science's integration of the same spectrum at 1 nm."""
     nm, values = spectral_file(tmp_path)
     paint = 'family = "mirror"\nreflectance = {file = "paint.csv", column = "wanted"}'
     ours = material_of(tmp_path, paint).reflectance
@@ -346,7 +348,7 @@ def test_a_reflectance_in_rgb_is_its_colour_under_d65(tmp_path):
     xyz = colour.sd_to_XYZ(distribution, cmfs, d65, method="Integration", shape=shape)
     theirs = colour.XYZ_to_sRGB(xyz / 100, apply_cctf_encoding=False)
     np.testing.assert_allclose(ours, theirs, atol=2e-3)
-    white = 'family = "mirror"\nreflectance = {file = "paint.csv", column = "other"}'  # of ones
+    white = 'family = "mirror"\nreflectance = {file = "paint.csv", column = "other"}'  # all 1
     np.testing.assert_allclose(material_of(tmp_path, white).reflectance, 1, atol=1e-3)
 
 
@@ -377,8 +379,8 @@ def test_a_patch_and_a_black_body(tmp_path):
 
 
 @pytest.mark.slow
-def test_measured_materials_come_in_the_bands_of_the_scene(tmp_path):
-    """An RGB file unchanged, a spectral one at the given wavelengths."""
+def test_measured_materials_have_the_bands_of_the_scene(tmp_path):
+    """An RGB file is unchanged, and a spectral one is interpolated at the given wavelengths."""
     rng = np.random.default_rng(4)
     table = HalfDifferenceTable(rng.uniform(0.1, 1, (6, 5, 4, 3)))
     write_merl(tmp_path / "paint.binary", table)
@@ -393,7 +395,7 @@ def test_measured_materials_come_in_the_bands_of_the_scene(tmp_path):
 # ------------------------------------------------ shipped scenes
 
 
-def test_the_shipped_cornell_box_is_the_published_one():
+def test_the_shipped_cornell_box_has_the_published_numbers():
     assert shipped_scenes() == ["cornell_box", "cornell_box_spectral", "glass_and_mirror"]
     found = read_scene("cornell_box")
     same(found.scene, jax.tree.map(np.asarray, cornell_box.scene()))
@@ -401,7 +403,7 @@ def test_the_shipped_cornell_box_is_the_published_one():
 
 
 @pytest.mark.slow
-def test_the_spectral_cornell_box_is_the_same_room_in_the_bands_of_a_shipped_camera():
+def test_the_spectral_cornell_box_is_the_same_room_for_a_shipped_camera():
     found, room = read_scene("cornell_box_spectral"), read_scene("cornell_box")
     for one, other in zip(found.scene.surfaces, room.scene.surfaces, strict=True):
         same(one.shape, other.shape)
@@ -415,12 +417,13 @@ def test_the_spectral_cornell_box_is_the_same_room_in_the_bands_of_a_shipped_cam
             found.scene.lights[0].radiance,
         )
     )
-    # Published: 0.747 and 0.285 at 500 nm, 0.745 and 0.755 at 608 and 612 nm; the lamp 8 and 15.6
-    # at 500 and 600 nm.
+    # Published values: 0.747 and 0.285 at 500 nm, 0.745 and 0.755 at 608 and 612 nm, and for the
+    # lamp 8 and 15.6 at 500 and 600 nm.
     walls = [white[500], green[500], white[610]]
     np.testing.assert_allclose(walls, [0.747, 0.285, 0.75], rtol=1e-6)
     found_lamp = [lamp[400], lamp[500], lamp[550], lamp[600]]
-    # A band of 10 nm is the mean of the lines between them, with slopes .08, .076 and .028 per nm.
+    # A band of 10 nm is the mean of the lines between these points, with slopes of .08, .076 and
+    # .028 per nm.
     means = [2.5 * 0.08, 8 - 1.25 * (0.08 - 0.076), 11.8, 15.6 - 1.25 * (0.076 - 0.028)]
     np.testing.assert_allclose(found_lamp, means, rtol=1e-6)
     camera = replace(read_camera("consumer_bayer"), view=replace(found.view, f_number=4.0))
@@ -435,7 +438,7 @@ def test_the_glass_and_mirror_scene_has_both():
     assert {Glass, mirror.Mirror, lambert.Lambert, TorranceSparrow} == kinds
 
 
-# ------------------------------------------------ what a file cannot mean
+# ------------------------------------------------ invalid files
 
 REFUSED = {
     "colour = 3": (SCENE + "colour = 3", r'surface "ball"\.colour is not a key of a scene file'),
@@ -511,7 +514,7 @@ REFUSED = {
         SCENE + '[[light]]\nkind = "directional"\ndirection = [0, 0, 0]\nirradiance = 1\n',
         r"light\[2\]: DirectionalLight.direction must have a direction",
     ),
-    # where JAX has no float64, a number is lost before it can be told
+    # without float64 in JAX, the number is lost before it can be checked
     "tiny": (SCENE.replace("radius = 1", "radius = 1e-60"), r'"ball": .*radius (holds 1e-60|must)'),
     "bright": (SCENE.replace("[10, 20, 30]", "[1, 1e40, 1]"), '"lamp": .* which float32 cannot'),
     "thin": (
@@ -577,8 +580,9 @@ def test_bad_tables_are_named(tmp_path, column, rows, sentence):
         material_of(tmp_path, paint)
 
 
-def test_what_a_file_warns_of_is_named_by_its_surface(tmp_path):
-    """Slivers far from the origin, which have no area in float32, are left out like others."""
+def test_warnings_about_a_file_name_its_surface(tmp_path):
+    """Slivers far from the origin have no area in float32, and are left out like other triangles
+    without area."""
     (tmp_path / "m.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e-4\nf 1 2 3\nf 1 1 2\nf 1 2 4\n"
     )
@@ -592,26 +596,26 @@ def test_what_a_file_warns_of_is_named_by_its_surface(tmp_path):
 
 
 def test_inside_glass_and_two_sided_surfaces_are_allowed(tmp_path):
-    """A camera in glass and a lamp in a lantern: both reach their surroundings."""
+    """A camera in glass and a lamp in a lantern both see their surroundings."""
     glass = SCENE.replace('family = "lambert"\nalbedo = 0.5', 'family = "glass"')
     read(tmp_path, glass.replace("[0, -4, 0]", "[0, -0.4, 0]"))
     read(tmp_path, SCENE.replace("[1, -2, 3]", "[0.5, 0, 0]") + "two_sided = true\n")
 
 
-def test_the_digest_follows_numbers_and_choices_and_no_words(tmp_path):
+def test_the_digest_depends_on_numbers_and_choices_and_not_on_comments(tmp_path):
     spectral_file(tmp_path)
     text = SCENE.replace("0.5", '{file = "paint.csv", column = "wanted"}')
     first = read(tmp_path, text).digest
     paint = (tmp_path / "paint.csv").read_text()
-    (tmp_path / "paint.csv").write_text(paint.replace(",1,", ",0.9,"))  # a column not asked for
+    (tmp_path / "paint.csv").write_text(paint.replace(",1,", ",0.9,"))  # an unused column
     assert read(tmp_path, text + "# more\n").digest == first
     (tmp_path / "paint.csv").write_text(paint.replace("380.0,1,0.", "380.0,1,0.9"))
     second = read(tmp_path, text).digest
     assert len({first, second, read(tmp_path, text + "two_sided = true\n").digest}) == 3
 
 
-def test_the_digest_follows_what_a_named_file_names(tmp_path):
-    """A glTF keeps its vertices in another file, while the file that a scene names is unchanged."""
+def test_the_digest_depends_on_files_named_in_files(tmp_path):
+    """A glTF keeps its vertices in another file, and the file that the scene names is unchanged."""
     trimesh = pytest.importorskip("trimesh")
     text = CAMERA + LIGHT + GREY
     text += '[[surface]]\nshape = "mesh"\nfile = "model.gltf"\nmaterial = "grey"\n'
@@ -635,7 +639,7 @@ def tetrahedron(order):
 
 
 def test_inside_of_meshes_boxes_and_spheres():
-    """Against the inequalities of a tetrahedron and of a turned box."""
+    """The reference evaluates the inequalities of a tetrahedron and of a rotated box."""
     rng = np.random.default_rng(2)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     box = scene.Box([0.2, 0.1, 0.3], [0.4, 0.2, 0.3], rotation=turn)
@@ -685,7 +689,7 @@ def test_hidden_emitters_bulbs_on_floors_and_normals_behind_are_named():
         assert sentence.startswith("inner: lies inside outer, which hides it")
         assert found([ball, shape], [3, 3, 3]) == []
     for shape in (scene.Sphere([0.5, 0, 0], 0.7), scene.Disc([0, 0, 0.5], [0, 1, 1], 0.9)):
-        assert found([ball, shape], [3, 3, 3], emission=[1.0]) == []  # it sticks out
+        assert found([ball, shape], [3, 3, 3], emission=[1.0]) == []  # part of it is outside
     floors = [
         scene.Plane([1, 2, 0.5], [0, 0, 2.0]),
         scene.Quad([-1, -1, 0.5], [2, 0, 0], [0, 2, 0]),

@@ -1,4 +1,5 @@
-"""Correlation and convolution against scipy.ndimage, OpenCV and NumPy loops, and their laws."""
+"""Tests correlation and convolution against `scipy.ndimage`, OpenCV and NumPy loops, and their
+laws."""
 
 from functools import partial
 
@@ -40,7 +41,7 @@ counts_our_primitive = pytest.mark.skipif(fusion.PLAIN, reason="plain JAX has no
 
 
 def by_hand(plane, kernel, anchor, border, fill=0.0):
-    """The definition, one product at a time."""
+    """Return the correlation by its definition, one product at a time."""
     (h, w), (kh, kw) = plane.shape, kernel.shape
     reach = (anchor[0], kh - 1 - anchor[0]), (anchor[1], kw - 1 - anchor[1])
     options = NUMPY[border] | ({"constant_values": fill} if border == "constant" else {})
@@ -57,7 +58,7 @@ def by_hand(plane, kernel, anchor, border, fill=0.0):
 @pytest.mark.parametrize("size", KERNELS)
 @pytest.mark.parametrize("border", BORDERS)
 def test_every_border_by_hand(border, size):
-    """Odd, even and larger than the picture; every method, and both directions."""
+    """Odd and even kernels, also larger than the picture, for every method and both directions."""
     kernel = np.abs(KERNELS[size]) if border == "normalised_zero" else KERNELS[size]
     anchor = size[0] // 2, size[1] // 2
     plane = SMALL if size == (5, 4) else PLANE
@@ -71,8 +72,8 @@ def test_every_border_by_hand(border, size):
 
 
 @pytest.mark.parametrize("border", BORDERS)
-def test_pixels_far_beyond_the_picture_are_numpys(border):
-    """Over several lengths of the picture, which a kernel seldom reaches."""
+def test_borders_far_beyond_the_picture_equal_numpys(border):
+    """The padding is several times as long as the picture, which kernels seldom need."""
     line = PLANE[0, :4]
     source, own, first, last = ghosts(border, 4, 9, 14)
     padded = own * line[source] + first * line[0] + last * line[-1]
@@ -171,7 +172,7 @@ def test_nan_reaches_its_windows(method):
     image = np.ones((11, 11, 2))
     image[5, 5, 0] = np.nan
     taps = np.ones(5)
-    taps[0] = 0  # a tap of 0 counts like any other
+    taps[0] = 0  # a tap of 0 counts like others
     got = np.isnan(filters.correlate(image, np.outer(taps, taps), method=method))
     assert not got[:, :, 1].any()
     window = np.zeros((11, 11), bool)
@@ -180,7 +181,7 @@ def test_nan_reaches_its_windows(method):
 
 
 def test_reach_of_nan_under_auto_and_kernels_that_are_not_finite():
-    """A NaN reaches its windows, whatever method the size of the kernel chooses."""
+    """A NaN reaches its windows, whichever method is chosen for the size of the kernel."""
     f = np.ones((20, 20))
     f[10, 10] = np.nan
     for side, spoilt in ((15, 225), (17, 289)):
@@ -193,7 +194,7 @@ def test_reach_of_nan_under_auto_and_kernels_that_are_not_finite():
         filters.correlate(PLANE, kernel, method="separable")
 
 
-def test_nan_keeps_to_its_band_of_shifts_with_a_kernel_for_each():
+def test_nan_stays_in_its_band_with_a_kernel_for_each():
     image = np.ones((7, 7, 2))
     image[3, 3, 0] = np.nan
     got = np.isnan(filters.correlate(image, np.ones((3, 3, 2)), method="direct"))
@@ -226,8 +227,9 @@ def test_impulse_response_is_the_kernel():
 @pytest.mark.sweep
 @pytest.mark.parametrize("border", ["zero", "clamp", "mirror", "reflect_101", "wrap"])
 @pytest.mark.parametrize(("taps", "anchor"), [(3, None), (4, None), (4, (0,))])
-def test_signals_and_their_matrices(border, taps, anchor):
-    """scipy's correlation in one dimension, numpy's convolution inside, and H f."""
+def test_signals_equal_their_matrices(border, taps, anchor):
+    """The references are SciPy's correlation in one dimension, NumPy's convolution inside, and the
+    matrix product H f."""
     f, kernel = RNG.normal(size=11), RNG.normal(size=taps)
     origin = 0 if anchor is None else anchor[0] - taps // 2
     expected = ndimage.correlate1d(f, kernel, mode=SCIPY[border], origin=origin)
@@ -243,8 +245,8 @@ def test_signals_and_their_matrices(border, taps, anchor):
     )
 
 
-def test_signals_otherwise():
-    """Impulse response, transpose and offset; shapes that do not fit are refused."""
+def test_impulse_response_transpose_and_refusals_of_signals():
+    """Impulse response, transpose and offset are right, and shapes that do not fit are refused."""
     kernel, f = jnp.array([1.0, 2.0, 4.0]), jnp.arange(5.0)
     blur = partial(filters.convolve, kernel=kernel, border="zero")
     seen = filters.impulse_response(jnp.asarray(1.0), operator=blur, shape=(5,))
@@ -287,7 +289,7 @@ def test_shift_invariance_and_commuting_under_wrap():
 @pytest.mark.parametrize("method", ["conv", "direct", "fft"])
 @pytest.mark.parametrize("border", LINEAR)
 def test_gradients_by_hand(border, method):
-    """Derivatives of <y, K f> by each pixel and tap: the change that a unit in its place makes."""
+    """The reference is the change of <y, K f> for a unit change of each pixel and tap."""
     size = 4, 3
     f, y, kernel = RNG.normal(size=size), RNG.normal(size=size), np.abs(RNG.normal(size=size))
 
@@ -302,7 +304,7 @@ def test_gradients_by_hand(border, method):
     np.testing.assert_allclose(
         pixels.ravel(), [response(unit, kernel) for unit in units], atol=1e-11
     )
-    if border != "normalised_zero":  # not linear in the kernel
+    if border != "normalised_zero":  # it is nonlinear in the kernel
         np.testing.assert_allclose(taps.ravel(), [response(f, unit) for unit in units], atol=1e-11)
 
 
@@ -314,7 +316,7 @@ def test_derivatives_forward_and_reverse_twice():
 
 
 def test_derivative_of_large_kernels_one_for_each_band():
-    """More taps than are computed as inner products."""
+    """These kernels have more taps than are computed as inner products."""
     image, kernel, y = IMAGE, RNG.normal(size=(6, 7, 3)), RNG.normal(size=IMAGE.shape)
     got = jax.grad(lambda k: jnp.vdot(y, filters.correlate(image, k, border="wrap")))(
         jnp.asarray(kernel)
@@ -328,7 +330,7 @@ def test_derivative_of_large_kernels_one_for_each_band():
 @pytest.mark.sweep
 @pytest.mark.parametrize("border", ["zero", "clamp", "wrap", "mirror", "reflect_101", "extend"])
 def test_adjoint(border):
-    """<H x, y> = <x, H' y>."""
+    """Checks <H x, y> = <x, H' y>."""
     image = IMAGE[:4, :3]  # smaller than the kernel
     y = RNG.normal(size=image.shape)
     for method in ("conv", "direct", "fft"):
@@ -338,7 +340,7 @@ def test_adjoint(border):
         np.testing.assert_allclose(left, right, rtol=1e-11)
 
 
-def test_what_is_not_linear_has_no_adjoint():
+def test_nonlinear_operators_have_no_adjoint():
     h = partial(filters.correlate, kernel=np.ones((3, 3)), border="constant", fill=1.0)
     with pytest.raises(ValueError, match="up to 5 of a picture of 0"):
         filters.adjoint(jnp.asarray(PLANE), operator=h)
@@ -367,8 +369,8 @@ def test_vmap_of_pictures_and_of_kernels(mapped):
 
 
 @counts_our_primitive
-def test_transpose_of_a_blur_is_two_passes_again():
-    """No gather, scatter or sum over taps beside the two correlations."""
+def test_transpose_of_a_separable_blur_is_separable():
+    """Besides the two correlations there is no gather, scatter or sum over taps."""
     k = jnp.ones(9)
     f = jax.grad(lambda x: filters.correlate_separable(x, k, k, border="zero").sum())
     text = str(jax.make_jaxpr(f)(jnp.asarray(PLANE)))
@@ -409,7 +411,7 @@ def test_low_rank_states_its_error():
 
 
 @counts_our_primitive
-def test_auto_takes_passes_for_a_kernel_of_low_rank_and_the_transform_for_a_large_one():
+def test_auto_chooses_by_rank_and_size():
     def primitive(kernel):
         text = str(jax.make_jaxpr(lambda f: filters.correlate(f, kernel))(jnp.asarray(PLANE)))
         return text.count("jaxvision_correlate["), "method=fft" in text
@@ -421,8 +423,8 @@ def test_auto_takes_passes_for_a_kernel_of_low_rank_and_the_transform_for_a_larg
 
 
 @pytest.mark.slow
-def test_normalising_knows_a_sum_of_rounding():
-    """Weights whose exact sum is 0, in single precision."""
+def test_a_sum_of_zero_up_to_rounding_is_not_normalised():
+    """The weights sum to 0 exactly, but not in float32."""
     bell = np.exp(-(np.arange(-7, 8.0) ** 2) / 8)
     kernel = np.outer(bell / bell.sum(), bell)
     kernel -= kernel.mean()
@@ -437,8 +439,8 @@ def test_normalising_knows_a_sum_of_rounding():
 
 
 @pytest.mark.slow
-def test_zero_border_darkens_and_normalising_cures():
-    """The textbook's figure: a grey picture under a blur."""
+def test_zero_border_darkens_and_normalisation_corrects_it():
+    """The example of the textbook, a uniform picture after a blur."""
     grey = np.full((20, 30), 0.5)
     blurred = {b: np.asarray(filters.box(grey, size=9, border=b)) for b in BORDERS}
     assert blurred["zero"][0, 0] == pytest.approx(0.5 * 25 / 81)
@@ -472,7 +474,7 @@ def test_bad_input_is_named(options, words):
             function(**arguments)
 
 
-def test_separable_needs_to_see_the_kernel():
+def test_separable_needs_a_concrete_kernel():
     with pytest.raises(ValueError, match="low_rank"):
         jax.jit(partial(filters.correlate, method="separable"))(PLANE, KERNELS[3, 3])
     with pytest.raises(ValueError, match="bands"):

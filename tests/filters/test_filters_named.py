@@ -1,4 +1,4 @@
-"""Named filters against scipy and OpenCV, closed forms and their own laws."""
+"""Tests named filters against SciPy, OpenCV and closed forms, and their laws."""
 
 from functools import partial
 from itertools import pairwise
@@ -42,7 +42,7 @@ def test_binomial_is_repeated_pairs():
 
 
 def test_binomial_of_any_size():
-    """2 ** 1099 exceeds a float, the weights do not: sum 1 and variance (size - 1) / 4."""
+    """2 ** 1099 exceeds a float, but the weights sum to 1 and have variance (size - 1) / 4."""
     taps = filters.binomial_kernel(1100)
     x = np.arange(1100) - 1099 / 2
     np.testing.assert_allclose((taps.sum(), taps @ x**2), (1, 1099 / 4), rtol=1e-12)
@@ -62,8 +62,8 @@ def test_gaussian_of_two_widths_and_integers():
 
 
 @pytest.mark.slow
-def test_truncation_is_a_knob():
-    """Each further sigma reduces the error; at eight nothing is missing."""
+def test_the_error_falls_with_the_truncation():
+    """Each further sigma reduces the error by at least a factor of 5, to below 1e-8 at six."""
     truth = filters.gaussian(PLANE, 1.5, truncate=9.0, border="wrap")
     errors = [
         np.abs(filters.gaussian(PLANE, 1.5, truncate=t, border="wrap") - truth).max()
@@ -99,7 +99,8 @@ def test_integrated_kernel_by_quadrature_of_mpmath(sigma, order):
 
 @pytest.mark.slow
 def test_variance_of_a_narrow_gaussian():
-    """Sampled it is too small, integrated it has the pixel's own 1/12 besides."""
+    """A sampled Gaussian is too narrow, and an integrated one has the pixel's variance of 1/12 in
+    addition."""
     x = np.arange(-4, 5.0)
 
     def excess(sigma, sampling):
@@ -115,8 +116,9 @@ def test_variance_of_a_narrow_gaussian():
 @pytest.mark.parametrize(
     ("sigma", "sampled", "integrated"), [(0.3, 0.085, 0.663), (0.5, 0.860, 0.986), (0.7, 0.998, 1)]
 )
-def test_what_narrow_derivatives_lose(sigma, sampled, integrated):
-    """The slope of a ramp of 1 as documented; the remedy is differences of the blurred picture."""
+def test_errors_of_narrow_derivatives(sigma, sampled, integrated):
+    """The slope of a unit ramp is the documented one. Differences of the blurred picture are
+    exact."""
     for sampling, expected in (("sampled", sampled), ("integrated", integrated)):
         options = {"size": 9, "order": (0, 1), "sampling": sampling}
         slope = filters.gaussian(XX, value(sigma), **options)
@@ -165,7 +167,7 @@ def test_laplacians():
 
 
 def test_isotropic_laplacian_is_isotropic():
-    """On waves of one length in two directions: the five-point stencil tells them apart."""
+    """For waves of one length in two directions, the five-point stencil gives different values."""
 
     def spread(isotropic):
         k, d = 0.8, 0.8 / np.sqrt(2)
@@ -195,8 +197,8 @@ def test_first_order_steers_a_ramp():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.3, -0.7, 2.9])
-def test_quadrature_pair_is_the_turned_filter(angle):
-    """G2 and H2 sampled after turning the axes, against the sum of the basis."""
+def test_the_steered_quadrature_pair_is_the_rotated_filter(angle):
+    """G2 and H2, sampled on rotated axes, equal the sum of the basis."""
     width = 2.0
     along = (np.cos(angle) * XX - np.sin(angle) * YY) / width
     bell = np.exp(-(XX**2 + YY**2) / width**2) / width
@@ -205,7 +207,7 @@ def test_quadrature_pair_is_the_turned_filter(angle):
     image = RNG.normal(size=(31, 31))
     basis = filters.quadrature_basis(image, value(width), size=31)
     got = filters.steer(basis, value(angle))
-    # the paper's H2 is a fit to the Hilbert transform, 1 % short of its energy
+    # the paper's H2 is a fit to the Hilbert transform, with 1 % less energy
     np.testing.assert_allclose([(even**2).sum(), (odd**2).sum()], [1, 0.9905], atol=1e-4)
     for seen, kernel in zip(got, (even, odd), strict=True):
         expected = ndimage.correlate(image, kernel, mode="reflect")
@@ -217,7 +219,7 @@ def test_quadrature_pair_is_the_turned_filter(angle):
     [(1.0, 0.0, 1.41, 0.53), (1.0, np.pi / 4, 1.18, 0.81), (2.0, 0.3, 1.0, 0.9905)],
 )
 def test_energy_of_the_pair_by_its_width(width, angle, even, odd):
-    """The sum of squares of the impulse response: 1 and 0.99 only from a width of 2 on."""
+    """The sum of squares of the impulse response is 1 and 0.99 only for widths of 2 and more."""
     impulse = (XX == 0) & (YY == 0)
     pair = filters.steer(
         filters.quadrature_basis(impulse.astype(float), width, size=21), value(angle)
@@ -226,9 +228,9 @@ def test_energy_of_the_pair_by_its_width(width, angle, even, odd):
     np.testing.assert_allclose(got, (even, odd), atol=5e-3 if width < 2 else 1e-4)
 
 
-def test_energy_does_not_know_the_phase_of_a_wave_but_its_direction():
-    # where the transforms of G2 and H2 are equal, at 2.65 / width: 0.9213 u / 2 = 0.978 (0.377 +
-    # u^2 / 8); they differ by 7 % an octave below, which the paper's fit allows
+def test_energy_depends_on_the_direction_of_a_wave_and_not_its_phase():
+    # The transforms of G2 and H2 are equal at 2.65 / width, where 0.9213 u / 2 = 0.978 (0.377 + u^2
+    # / 8). An octave below they differ by 7 %, within the error of the paper's fit.
     frequency, angle = 2.65 / 3, 0.5
     energies, angles = [], []
     for phase in np.linspace(0, np.pi, 7):
@@ -254,8 +256,8 @@ def test_orientation_is_the_lowest_harmonic_of_the_energy():
     )
 
 
-def test_orientation_beside_a_response_without_any():
-    """By table XI the square of the middle response of G2 has no part in C_2."""
+def test_orientation_if_one_response_is_zero():
+    """By table XI the square of the middle response of G2 does not contribute to C_2."""
     none, large, small = (jnp.asarray(x, jnp.float32) for x in (0, 1, 0.01))
     basis = filters.QuadratureBasis((none, large, none), (none, none, none, small))
     angle, strength = filters.dominant_orientation(basis)
@@ -264,7 +266,7 @@ def test_orientation_beside_a_response_without_any():
 
 
 @pytest.mark.slow
-def test_orientation_of_nothing():
+def test_orientation_without_contrast():
     basis = filters.quadrature_basis(np.zeros((9, 9, 2)), value(1.0), size=7)
     angle, strength = filters.dominant_orientation(basis)
     assert (angle == 0).all()
@@ -291,8 +293,8 @@ def test_an_angle_for_each_pixel():
 
 
 @pytest.mark.slow
-def test_hidden_colour_never_shows():
-    """A red disk on hidden green: straight filtering would mix them."""
+def test_hidden_colour_is_never_visible():
+    """A red disc is on hidden green. Filtering without premultiplication would mix them."""
     disk = (XX**2 + YY**2 < 50).astype(float)
     light = np.stack([disk, 1 - disk], axis=-1)
     layer = jnp.asarray(np.concatenate([light, disk[..., None]], axis=-1))
@@ -305,7 +307,7 @@ def test_hidden_colour_never_shows():
     np.testing.assert_allclose(got[seen][:, 0], 1, atol=1e-9)
     np.testing.assert_allclose(got[seen][:, 1], 0, atol=1e-9)
     np.testing.assert_allclose(got[..., 2], blur(jnp.asarray(disk)), atol=1e-14)
-    assert np.asarray(blur(layer))[..., 1].max() > 0.5  # what it would be without
+    assert np.asarray(blur(layer))[..., 1].max() > 0.5  # without premultiplication
     gradient = jax.grad(lambda f: filters.blur_straight(f, blur=blur).sum())(layer)
     assert jnp.isfinite(gradient).all()
 
@@ -348,7 +350,7 @@ def test_bad_input_is_named():
         partial(filters.quadrature_basis, width=1.0, size=5),
     ],
 )
-def test_weights_of_sum_nothing_are_not_normalised(call):
+def test_weights_with_a_sum_of_zero_are_not_normalised(call):
     with pytest.raises(ValueError, match="sum of the weights, which is 0"):
         call(PLANE, border="normalised_zero")
 

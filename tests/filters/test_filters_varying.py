@@ -1,4 +1,4 @@
-"""Kernels that change from pixel to pixel, and filters as matrices."""
+"""Tests kernels that vary from pixel to pixel, and filters as matrices."""
 
 from functools import partial
 
@@ -49,8 +49,9 @@ def test_per_pixel_by_hand(border):
 
 
 @pytest.mark.parametrize("anchor", [None, (0, 2)])
-def test_convolution_per_pixel_turns_each_kernel(anchor):
-    """One product at a time, of the pixel across the anchor, under the border "wrap"."""
+def test_convolution_per_pixel_mirrors_each_kernel(anchor):
+    """The reference computes one product at a time, with the pixel mirrored at the anchor, for the
+    border "wrap"."""
     kh, kw = STACK.shape[:2]
     top, left = (kh // 2, kw // 2) if anchor is None else anchor
     expected = np.zeros((H, W))
@@ -67,7 +68,7 @@ def test_one_kernel_everywhere_is_correlation():
 
 
 def varying_gaussian(plane, sigma, radius):
-    """Loops, with the weights of each pixel normalised to sum 1."""
+    """Return the blur by loops, with the weights of each pixel normalised to a sum of 1."""
     wide, g = np.pad(plane, radius, mode="symmetric"), np.zeros_like(plane)
     yy, xx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     inside = yy**2 + xx**2 <= radius**2
@@ -86,8 +87,9 @@ def test_radial_blur_by_hand():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_radial_blur_of_no_width(dtype):
-    """Scale 0, and below, leaves the picture; its gradient is finite, by picture the identity."""
+def test_radial_blur_of_zero_width(dtype):
+    """A scale of 0 or below leaves the picture unchanged. The gradient is finite, and by the
+    picture it is the identity."""
     f, scale = jnp.asarray(PLANE, dtype), jnp.asarray([0.0, -1, 1e-30] * 14, dtype).reshape(H, W)
 
     def blur(f, scale):
@@ -100,13 +102,14 @@ def test_radial_blur_of_no_width(dtype):
 
 
 def test_disk_of_defocus():
-    """Sharp where the radius of blur is 0, the mean over the disk elsewhere; grey stays grey."""
+    """The result is sharp where the radius is 0, and the mean over the disc elsewhere. A uniform
+    picture is unchanged."""
     radius = jnp.asarray(np.where(np.arange(W) < 3, 0.0, 2.5)[None] * np.ones((H, 1)))
     blur = partial(filters.radial_blur, profile=filters.disk_profile, radius=4)
     got = blur(PLANE, radius)
     np.testing.assert_allclose(got[:, :3], PLANE[:, :3], atol=1e-13)
     np.testing.assert_allclose(blur(np.ones((H, W)), radius), 1, atol=1e-13)
-    np.testing.assert_array_equal(blur(PLANE, radius - 9), PLANE)  # no weight at all
+    np.testing.assert_array_equal(blur(PLANE, radius - 9), PLANE)  # all weights are 0
 
 
 def test_bank_is_linear_between_its_members():
@@ -121,7 +124,7 @@ def test_bank_is_linear_between_its_members():
 
 @pytest.mark.slow
 def test_banks_take_a_fill():
-    """A flat picture amid its own value stays flat."""
+    """A uniform picture with its own value as the fill stays uniform."""
     f, options = np.full((H, W), 0.7), {"border": "constant", "fill": 0.7}
     position = jnp.full((H, W), 0.4)
     got = filters.correlate_bank(f, np.full((2, 3, 3), 1 / 9), position, **options)
@@ -131,7 +134,7 @@ def test_banks_take_a_fill():
 
 
 @pytest.mark.slow
-def test_members_of_a_gaussian_bank_are_the_knob():
+def test_the_error_falls_with_the_members_of_a_gaussian_bank():
     plane = RNG.normal(size=(8, 40))
     sigma = np.linspace(0.8, 1.6, 40)[None] * np.ones((8, 1))
     truth = varying_gaussian(plane, sigma, 8)
@@ -145,8 +148,8 @@ def test_members_of_a_gaussian_bank_are_the_knob():
 
 
 @pytest.mark.slow
-def test_bank_keeps_the_variance_between_its_sigmas():
-    """The impulse response at a pixel between two members."""
+def test_a_bank_interpolates_the_variance_between_its_sigmas():
+    """The impulse response is measured at a pixel between two members."""
     sigma = jnp.full((31, 31), 1.7)
     impulse = np.zeros((31, 31))
     impulse[15, 15] = 1
@@ -207,7 +210,7 @@ def test_matrix_is_traced_and_differentiated_by_its_kernel():
 
 @pytest.mark.slow
 def test_scipy_solves_with_the_operator():
-    """A deblurring by conjugate gradients: the operator and its transpose, no matrix."""
+    """Conjugate gradients deblur with the operator and its transpose, without a matrix."""
     from scipy.sparse.linalg import lsqr
 
     kernel = np.array([[0.0, 1, 0], [1, 6, 1], [0, 1, 0]]) / 10
@@ -219,7 +222,7 @@ def test_scipy_solves_with_the_operator():
     matrix = filters.scipy_matrix(
         filters.filter_matrix(jnp.asarray(kernel), shape=(H, W), border="mirror").matrix
     )
-    assert matrix.nnz < 9 * H * W  # ghosts added to the pixels that they copy
+    assert matrix.nnz < 9 * H * W  # padding is added to the pixels it copies
     np.testing.assert_allclose(matrix @ f[..., 0].ravel(), np.asarray(h(f))[..., 0].ravel())
 
 

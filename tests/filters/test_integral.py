@@ -1,4 +1,4 @@
-"""Integral images against NumPy sums and OpenCV, their digits, gradients and bad input."""
+"""Tests integral images against NumPy sums and OpenCV, their accuracy, gradients and refusals."""
 
 import jax
 import jax.numpy as jnp
@@ -50,13 +50,14 @@ def test_sliding_windows(size):
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_small_boxes_far_from_the_origin_keep_their_digits(dtype):
-    """A dark corner below a bright sky: the sum above is 10^9 times the box's own."""
+    """A dark corner is below a bright sky, whose sum is 10^9 times the box's."""
     image = np.full((400, 300), 1e4)
     image[-3:, -3:] = RNG.random((3, 3))
     image = image.astype(dtype)
     last = window_sum(integral_image(image), (3, 3))[-1, -1]
     expected = image[-3:, -3:].astype(float).sum()
-    # relative to the whole: 2^-46 (2^-104), as the module says; to the box: half an ULP
+    # the error is 2^-46 (2^-104) relative to the whole, as the module says, and half a ULP of the
+    # box
     bound = image.astype(float).sum() * 2.0 ** (-46 if dtype == np.float32 else -104)
     assert last.dtype == dtype
     assert abs(float(last) - expected) <= bound + np.finfo(dtype).eps * expected

@@ -1,5 +1,5 @@
-"""Median, bilateral filter and non-local means against their definitions as NumPy loops, scipy and
-OpenCV; laws, gradients and bad input."""
+"""Tests the median, the bilateral filter and non-local means against NumPy loops of their
+definitions, SciPy and OpenCV, and their laws, gradients and refusals."""
 
 from functools import partial
 
@@ -29,7 +29,8 @@ FOOTPRINT = np.array([[0, 1, 1, 0, 1], [1, 1, 0, 1, 1], [0, 0, 1, 0, 0], [1, 0, 
 
 @pytest.mark.parametrize("n", range(1, 9))
 def test_the_network_selects_from_every_order(n):
-    """The 0-1 principle (Knuth 5.3.4): right for all arrangements of zeros and ones, so for all."""
+    """By the 0-1 principle (Knuth 5.3.4) a network that is right for all sequences of zeros and
+    ones is right for all sequences."""
     wires = [np.array([code >> i & 1 for code in range(2**n)]) for i in range(n)]
     for rank in range(n):
         moved = list(wires)
@@ -43,13 +44,13 @@ def test_the_network_selects_from_every_order(n):
 @pytest.mark.parametrize("size", [3, (5, 2)])
 def test_median_is_scipys(size, border):
     pair = (size, size) if isinstance(size, int) else size
-    # scipy's even sizes reach one further to the left, as ours do
+    # SciPy's even sizes extend one pixel further to the left, like ours
     expected = ndimage.median_filter(COLOUR, size=(*pair, 1), mode=SCIPY[border])
     np.testing.assert_array_equal(median_filter(COLOUR, size=size, border=border), expected)
 
 
 def test_median_of_a_footprint_and_of_codes():
-    """Odd and even numbers of neighbours; the middle of a side of 4 is its third element."""
+    """Odd and even numbers of neighbours. For a side of 4 the centre is the third element."""
     for footprint in (FOOTPRINT, FOOTPRINT[:3]):
         expected = ndimage.median_filter(CODES, footprint=footprint, mode="reflect")
         ours = median_filter(CODES, footprint=footprint)
@@ -65,7 +66,7 @@ def test_median_of_a_window_larger_than_the_image(shape):
     np.testing.assert_array_equal(median_filter(image, size=7), expected)
 
 
-def test_median_takes_out_impulses_and_keeps_a_step():
+def test_median_removes_impulses_and_keeps_a_step():
     step = np.where(np.arange(16) < 8, 0.2, 0.9) * np.ones((16, 1))
     noisy = step.copy()
     noisy[3, 4], noisy[9, 12] = 1.0, 0.0
@@ -84,7 +85,7 @@ def test_gradient_of_the_median_goes_to_the_median():
 
 
 def neighbours(image, radius, border):
-    """Yields (row, column, all neighbours, their offsets, which of them exist)."""
+    """Yield (row, column, all neighbours, their offsets, which of them exist)."""
     wide = ((radius, radius), (radius, radius), (0, 0))
     mode = NUMPY.get(border, "constant")
     around = np.pad(image, wide, mode=mode)
@@ -123,7 +124,7 @@ def test_joint_bilateral_is_the_loop():
 
 
 def test_bilateral_is_opencvs():
-    """OpenCV's table of exp is accurate to about 1e-6."""
+    """OpenCV's table of exp has an error of about 1e-6."""
     import cv2
 
     single = COLOUR.astype(np.float32)
@@ -135,7 +136,8 @@ def test_bilateral_is_opencvs():
 
 
 def test_bilateral_limits():
-    """A wide range weight leaves the Gaussian; sigmas of 0 leave the picture itself."""
+    """With a wide range weight the result is the Gaussian filter, and with sigmas of 0 the picture
+    itself."""
     wide = bilateral_filter(GREY, 1.2, 1e6, radius=4)
     kernel = np.exp(-(np.arange(-4, 5) ** 2) / (2 * 1.2**2))
     expected = GREY
@@ -179,7 +181,7 @@ def test_nonlocal_means_is_the_loop(profile, noise, cutoff):
 
 
 def test_nonlocal_means_is_scikit_images():
-    """scikit-image's exp is approximate (weights within some 4 %), so its change is within 4 %."""
+    """scikit-image's exp is approximate (weights within 4 %), so the changes agree within 4 %."""
     from skimage import restoration
 
     image = RNG.random((20, 20)) * 0.2 + np.linspace(0, 1, 20)
@@ -205,7 +207,7 @@ def test_batch_dtype_nan_and_views(name):
     batch = np.stack([COLOUR, COLOUR[::-1]]).astype(np.float32)
     result = filtered(batch)
     assert result.dtype == np.float32
-    # each image alone, from a view with strides of its own
+    # each image alone, from a view with its own strides
     np.testing.assert_allclose(
         result[1], filtered(batch[1].transpose(1, 0, 2)).transpose(1, 0, 2), rtol=2e-6
     )
@@ -259,8 +261,9 @@ def test_bad_input_is_one_sentence(call, words):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16], ids=["float16", "bfloat16"])
-def test_half_precision_holds_the_sums_of_a_window(dtype):
-    """A mean over 169 or 441 equal numbers; in half precision their sum is infinite or stops."""
+def test_half_precision_sums_a_window_accurately(dtype):
+    """The mean is over 169 or 441 equal numbers, whose sum in half precision overflows or
+    stagnates."""
     flat = jnp.full((24, 24), 30000, dtype)
     for found in (
         bilateral_filter(flat, 100.0, 100.0, radius=10),

@@ -1,5 +1,5 @@
-"""Pyramids against the zero-stuffed convolution of their definition and OpenCV; exact
-reconstruction, laws of blending, bad input."""
+"""Tests pyramids against the zero-stuffed convolution of their definition and OpenCV, with exact
+reconstruction, laws of blending, and refusals."""
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +32,8 @@ def test_reduction_is_the_blur_at_even_pixels(border):
 
 
 @pytest.mark.parametrize("size", [(26, 36), (25, 35), (26, 35)])
-def test_expansion_is_the_blur_of_pixels_set_apart(size):
-    """Twice the kernel a side, on the coarse pixels with zeros between them."""
+def test_expansion_is_the_blur_of_zero_stuffed_pixels(size):
+    """The reference has twice the kernel on each side, on coarse pixels with zeros between them."""
     around = np.pad(GREY, 2, mode="symmetric")
     apart = np.zeros((2 * around.shape[0], 2 * around.shape[1]))
     apart[::2, ::2] = around
@@ -48,7 +48,7 @@ def test_levels_are_opencvs():
 
     theirs = cv2.pyrDown(GREY, borderType=cv2.BORDER_REFLECT)
     np.testing.assert_allclose(reduce_by_two(GREY), theirs, rtol=1e-13)
-    theirs = cv2.pyrUp(GREY)  # another border
+    theirs = cv2.pyrUp(GREY)  # which has another border
     np.testing.assert_allclose(expand(GREY, (26, 36))[2:-2, 2:-2], theirs[2:-2, 2:-2], rtol=1e-13)
 
 
@@ -80,7 +80,8 @@ def test_constants_stay_constant_but_for_the_border_zero():
 
 @pytest.mark.slow
 def test_blending():
-    """One level is the plain blend; a mask of one returns an image; a sharp mask leaves no step."""
+    """One level is the plain blend, a mask of ones returns the first image, and a sharp mask leaves
+    no step."""
     one, other = np.full((32, 32), 0.2), np.full((32, 32), 0.8)
     mask = (np.arange(32) < 16) * np.ones((32, 1))
     np.testing.assert_allclose(blend_by_pyramid(one, other, mask, 1), 0.8 - 0.6 * mask, rtol=1e-14)
@@ -89,13 +90,13 @@ def test_blending():
     np.testing.assert_allclose(blend_by_pyramid(first, second, ones, 2), first, atol=1e-15)
     smooth = np.asarray(blend_by_pyramid(one, other, mask, 4))[16]
     assert np.diff(smooth).min() >= 0
-    assert np.diff(smooth).max() < 0.1  # the plain blend steps by 0.6
+    assert np.diff(smooth).max() < 0.1  # the step of a plain blend is 0.6
     assert smooth[0] < 0.22
     assert smooth[-1] > 0.78
 
 
 def test_gradient_is_the_transpose():
-    """<R x, y> = <x, R' y> for the linear reduction R and its reverse-mode gradient R'."""
+    """Checks <R x, y> = <x, R' y> for the linear reduction R and its reverse-mode gradient R'."""
     y = RNG.random((7, 9))
     back = jax.grad(lambda x: jnp.vdot(reduce_by_two(x), y))(jnp.asarray(GREY))
     ahead = np.vdot(reduce_by_two(GREY[::-1].copy()), y)

@@ -1,4 +1,4 @@
-"""Resized pictures against Pillow, warped ones against SciPy and block means."""
+"""Tests resizing against Pillow, and warping against SciPy and block means."""
 
 import jax
 import jax.numpy as jnp
@@ -37,8 +37,9 @@ def test_batches_bands_and_constants():
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("method", ["nearest", "linear", "cubic", "lanczos3", "lanczos5"])
 @pytest.mark.parametrize("size", [(7, 9), (50, 64), (23, 40)])
-def test_a_dead_pixel_stays_where_the_kernel_reaches(value, method, size):
-    """A unit row and column tell the weights; the sum leaves the others as they were."""
+def test_a_dead_pixel_affects_only_the_reach_of_the_kernel(value, method, size):
+    """The weights are found from a picture with one row and one with one column. A NaN or infinity
+    affects only pixels with a weight."""
     place = (11, 17)
     row, column = np.zeros((2, *PICTURE.shape), np.float32)
     row[place[0]], column[:, place[1]] = 1, 1
@@ -89,20 +90,20 @@ def test_a_shrunk_picture_is_the_mean_of_its_blocks(factor):
     rows, columns = np.meshgrid(rows, columns, indexing="ij")
     blocks = picture.reshape(18 // factor, factor, 30 // factor, factor).mean(axis=(1, 3))
     np.testing.assert_allclose(warp(picture, rows, columns, samples=factor), blocks, rtol=1e-12)
-    checks = np.indices((12, 12)).sum(axis=0) % 2.0  # the finest pattern becomes grey
+    checks = np.indices((12, 12)).sum(axis=0) % 2.0  # the finest pattern, whose mean is grey
     rows, columns = np.meshgrid(np.arange(1, 12, 2) - 0.5, np.arange(1, 12, 2) - 0.5)
     np.testing.assert_allclose(warp(checks, rows.T, columns.T, samples=2), 0.5)
 
 
-def test_slopes_of_places():
-    """A ramp moves by its slope."""
+def test_derivatives_with_respect_to_coordinates():
+    """A warped ramp changes by its slope."""
     ramp = jnp.outer(jnp.ones(8), jnp.arange(8.0)) * 0.25
     rows, columns = jnp.mgrid[2.4:5, 2.4:6]
     slope = jax.grad(lambda c: warp(ramp, rows, c).sum())(columns)
     np.testing.assert_allclose(slope, 0.25, rtol=1e-6)
 
 
-def test_what_cannot_be_resampled():
+def test_invalid_resampling_is_refused():
     with pytest.raises(ValueError, match="method must be one of nearest, linear"):
         resize(PICTURE, (4, 4), method="area")
     with pytest.raises(ValueError, match="size must be a whole number"):
@@ -117,8 +118,8 @@ def test_what_cannot_be_resampled():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("method", ["linear", "cubic", "lanczos3", "lanczos5"])
-def test_a_bright_pixel_lends_nothing_to_those_that_it_does_not_reach(method):
-    """Each pixel is right beside what its own window holds, by sums in NumPy."""
+def test_a_bright_pixel_does_not_change_pixels_beyond_its_reach(method):
+    """Each pixel equals the sum over its own window in NumPy."""
     rng = np.random.default_rng(0)
     picture = rng.uniform(0.01, 1, (9, 11)).astype(np.float32)
     picture[4, 5] = 1e8

@@ -1,4 +1,4 @@
-"""A problem of only what its scene and camera call for: what is traced, kept and said."""
+"""Tests problems reduced to the effects that matter for their scene and camera."""
 
 from dataclasses import replace
 
@@ -47,8 +47,8 @@ def traced(problem):
 
 
 @pytest.mark.slow
-def test_what_no_fit_can_see_is_not_traced():
-    """The faint lamp and the lobe go, and of the likelihood the noise of rows."""
+def test_negligible_effects_are_not_traced():
+    """The faint lamp, the lobe and the row noise of the likelihood are dropped."""
     whole = stated()
     less = called_for(whole)
     gone = {effect.name for effect in less.left_out.dropped}
@@ -61,8 +61,8 @@ def test_what_no_fit_can_see_is_not_traced():
 
 
 @pytest.mark.slow
-def test_bounds_hold_over_the_box_of_what_is_fitted():
-    """A lamp that may be a thousand million times as bright is no longer faint."""
+def test_bounds_hold_over_the_range_of_free_parameters():
+    """A lamp that may be 1e9 times as bright is not negligible."""
     far = "scene.lights[2].intensity[0]"
     kept = called_for(stated({far: Parameter(lower=0.0, upper=1e9), ROWS: 50.0}))
     assert len(kept.records["scene"].lights) == 3
@@ -77,14 +77,15 @@ def test_bounds_hold_over_the_box_of_what_is_fitted():
         ({f"{LAMP}[0]": Tied(lambda v: 2 * v["x"]), "x": Parameter(lower=1, upper=2)}, "is tied"),
     ],
 )
-def test_what_has_no_range_is_refused(parameters, sentence):
+def test_parameters_without_a_range_are_refused(parameters, sentence):
     with pytest.raises(InputError, match=sentence):
         called_for(stated(parameters))
 
 
 @pytest.mark.slow
-def test_a_prediction_of_something_else_is_refused():
-    """Ten thousand times the light that the records show: its shot noise is no longer nothing."""
+def test_a_prediction_that_contradicts_the_records_is_refused():
+    """The prediction has ten thousand times the light of the records, so its shot noise is not
+    negligible."""
     dim = {"scene.lights[1].intensity": Parameter(lower=0.5, upper=4.0)}
     scene = replace(RECORDS["scene"], lights=(LAMPS[0], replace(LAMPS[1], intensity=[2.0]), FAINT))
     problem = stated(dim, scene=scene)

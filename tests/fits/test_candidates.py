@@ -1,5 +1,5 @@
-"""Terms that stay only if the data call for them: prices by SciPy, ratios by NumPy's regression,
-how often an absent term stays."""
+"""Tests optional terms, which stay only if the data need them: thresholds against SciPy, likelihood
+ratios against NumPy's regression, and how often an absent term stays."""
 
 import equinox as eqx
 import jax
@@ -50,7 +50,7 @@ def test_a_term_stays_by_its_ratio_in_numpys_regression():
     assert kept == {"bend": True, "cubic": False}
     assert found.values["cubic"] == 0
     ratios = {}
-    for powers in (4, 3):  # the cubic goes first; the bend is judged without it
+    for powers in (4, 3):  # the cubic is dropped first, and the bend is judged without it
         design = X[:, None] ** np.arange(powers) / 0.1
         covariance = np.linalg.inv(design.T @ design)
         best = covariance @ design.T @ data / 0.1
@@ -58,7 +58,7 @@ def test_a_term_stays_by_its_ratio_in_numpys_regression():
     got = {one.name: one.ratio for one in found.choices}
     np.testing.assert_allclose([got["cubic"], got["bend"]], [ratios[4], ratios[3]], rtol=1e-5)
     np.testing.assert_allclose(found.choices[0].needed ** 2, stats.chi2.isf(0.01, 1), rtol=1e-9)
-    plain = fit(problem(data, bend=LINEAR, cubic=0.0))  # the same problem stated without a choice
+    plain = fit(problem(data, bend=LINEAR, cubic=0.0))  # the same problem without optional terms
     for one, other in zip(found.estimates, plain.estimates, strict=True):
         np.testing.assert_allclose(one.value, other.value, rtol=1e-9)
         np.testing.assert_allclose(one.standard_error, other.standard_error, rtol=1e-9)
@@ -68,8 +68,9 @@ def test_a_term_stays_by_its_ratio_in_numpys_regression():
 
 
 @pytest.mark.slow
-def test_a_term_stays_as_long_as_one_that_requires_it():
-    """No line, but a bend: the line has no evidence, and stays for the bend's sake."""
+def test_a_term_stays_if_one_that_requires_it_stays():
+    """The data have a bend and no line. The line has no evidence, and stays because the bend
+    requires it."""
     data = 1 + 0.5 * X**2 + 0.1 * NOISE
     named = {"slope": Candidate(LINEAR), "bend": Candidate(LINEAR, requires="slope")}
     found = fit(problem(data, cubic=0.0, **named))
@@ -93,15 +94,16 @@ def test_prices_are_those_of_the_distributions():
     np.testing.assert_allclose(price(10, numbers=3), stats.chi2.isf(0.01, 3))
     np.testing.assert_allclose(price(10, freedom=5), stats.t.isf(0.005, 5) ** 2)
     np.testing.assert_allclose(price(10, numbers=3, freedom=5), 3 * stats.f.isf(0.01, 3, 5))
-    # Of 10 lights whose scatter about 3 terms is fitted: Fisher's F of an F-test, times 10 / 7.
+    # F-test for 10 lights whose scatter is fitted with 3 terms, times 10 / 7.
     np.testing.assert_allclose(
         price(10, scatter=(10, 3)), stats.f.isf(0.01, 1, 7) * 10 / 7, rtol=1e-9
     )
 
 
 @pytest.mark.slow
-def test_a_scale_that_the_data_do_not_show_is_left_out():
-    """A blur of positive width, absent at 0, and a limit: an exponent whose lobe is no lobe."""
+def test_a_scale_without_evidence_is_left_out():
+    """The width is positive and absent at 0; the exponent is absent at a limit, where its lobe
+    vanishes."""
 
     def peak(height, width, inputs):
         return height * jnp.exp(-(inputs**2) / (2 * (0.3**2 + width**2)))
@@ -117,7 +119,7 @@ def test_a_scale_that_the_data_do_not_show_is_left_out():
 
 @pytest.mark.slow
 def test_a_term_of_groups_is_judged_by_their_errors():
-    """A covariate that is constant within 8 groups, which share errors."""
+    """The covariate is constant within 8 groups that share errors."""
     groups = np.repeat(np.arange(8), 10)
     rng = np.random.default_rng(8)
     covariate = rng.standard_normal(8)[groups]
@@ -137,11 +139,11 @@ def test_a_term_that_is_absent_stays_once_in_a_hundred_fits():
     for _ in range(300):
         found = fit(whole.with_data(1 + X + 0.1 * rng.standard_normal(80)), starts=1)
         stays += any(one.kept for one in found.choices)
-    assert stats.binom.cdf(stays - 1, 300, 0.02) < 0.999  # of two terms
+    assert stats.binom.cdf(stays - 1, 300, 0.02) < 0.999  # for two terms
 
 
 @pytest.mark.slow
-def test_an_array_stays_or_goes_as_a_whole():
+def test_an_array_is_kept_or_dropped_as_a_whole():
     patterns = np.random.default_rng(1).standard_normal((3, 80))
     free = {"offset": LINEAR, "c": Candidate(Parameter(shape=(3,), linear=True))}
     for size in (0.0, 0.1):
@@ -154,7 +156,7 @@ def test_an_array_stays_or_goes_as_a_whole():
 
 
 @pytest.mark.slow
-def test_a_chain_goes_on_with_the_terms_that_were_chosen():
+def test_a_chain_continues_with_the_chosen_terms():
     data = 1 + X + 0.4 * X**2 + 0.1 * NOISE
     begun = fit(problem(data), starts=2, posterior=Emcee(8, steps=100))
     further = fit(problem(data), starts=2, posterior=Emcee(8, steps=200), after=begun)
@@ -187,13 +189,13 @@ def test_a_check_counts_the_fits_in_which_a_term_stays():
         ),
     ],
 )
-def test_what_cannot_be_chosen_is_refused(make, expected):
+def test_invalid_candidates_are_refused(make, expected):
     with pytest.raises(InputError, match=expected):
         make()
 
 
 class Spread(eqx.Module):
-    """What a straight line predicts of data whose variance it knows, too."""
+    """The prediction of a straight line for data with a known variance."""
 
     mean: jax.Array
     variance: jax.Array

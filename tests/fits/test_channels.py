@@ -1,4 +1,4 @@
-"""A problem of several channels: that of each by itself, and what they share."""
+"""Tests problems of several channels, with separate and shared parameters."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +26,7 @@ def errors(found):
 
 
 @pytest.mark.slow
-def test_channels_that_share_nothing_are_those_fitted_by_themselves():
+def test_channels_that_share_nothing_equal_separate_fits():
     found = fit(stack_channels(ONE, DATA), starts=4)
     for c in range(3):
         alone = fit(ONE.with_data(DATA[:, c]), starts=4)
@@ -37,7 +37,7 @@ def test_channels_that_share_nothing_are_those_fitted_by_themselves():
 
 
 @pytest.mark.slow
-def test_channels_that_share_a_rate_are_the_problem_written_out():
+def test_channels_that_share_a_rate_equal_the_joint_problem():
     found = fit(stack_channels(ONE, DATA, shared=["rate"]), starts=4)
     free = {"height": Parameter(shape=(3,), lower=0, start=1.0), "rate": FREE["rate"]}
 
@@ -52,7 +52,7 @@ def test_channels_that_share_a_rate_are_the_problem_written_out():
 
 @pytest.mark.slow
 def test_inputs_and_starts_may_differ_between_channels():
-    """Times of each channel, noise of unknown width, that of the residuals."""
+    """The channels have their own times, and the fitted noise is the scatter of the residuals."""
     times = TIME[:, None] * np.array([1.0, 0.5, 2.0])
     data = HEIGHTS * np.exp(-1.5 * times) + 0.02 * NOISE
 
@@ -72,7 +72,7 @@ def test_inputs_and_starts_may_differ_between_channels():
 
 
 @pytest.mark.slow
-def test_groups_are_those_of_every_channel_and_terms_stay_for_all():
+def test_groups_apply_to_every_channel_and_terms_stay_for_all():
     labels = np.repeat(np.arange(10), 4)
     free = FREE | {"base": Candidate(Parameter(linear=True))}
     one = Problem(
@@ -126,6 +126,6 @@ def test_groups_are_those_of_every_channel_and_terms_stay_for_all():
         ),
     ],
 )
-def test_what_does_not_fit_is_refused(make, expected):
+def test_mismatched_channels_are_refused(make, expected):
     with pytest.raises(InputError, match=expected):
         make()

@@ -1,4 +1,4 @@
-"""Cluster-robust errors against simulation and closed forms."""
+"""Tests cluster-robust errors against simulations and closed forms."""
 
 from itertools import combinations
 
@@ -13,7 +13,8 @@ from jaxvision.errors import InputError
 
 
 def mean_with_clusters(rng, *, lights, pixels, shared_by_light, shared_by_pixel):
-    """Scores of a mean whose unit-variance errors share terms, and the variance of that mean."""
+    """Return scores of a mean whose unit-variance errors share terms, and the variance of this
+    mean."""
     light, pixel = (x.ravel() for x in np.indices((lights, pixels)))
     own = np.sqrt(1 - shared_by_light**2 - shared_by_pixel**2)
     error = (
@@ -27,7 +28,8 @@ def mean_with_clusters(rng, *, lights, pixels, shared_by_light, shared_by_pixel)
 
 
 def test_independent_errors_are_seldom_called_clustered():
-    """Two tests at 1 % each: 98 of 100 on average, 92 or fewer once in 2000."""
+    """There are two tests at 1 % each, so 98 of 100 pass on average. 92 or fewer happen once in
+    2000."""
     kept, ratios, freedom = 0, [], []
     for seed in range(100):
         data = mean_with_clusters(
@@ -43,13 +45,13 @@ def test_independent_errors_are_seldom_called_clustered():
 
 
 def test_a_mean_of_few_clusters_is_the_t_test_of_their_means():
-    """Balanced clusters and one parameter: CR2 is the variance of the clusters' means, with
-    clusters - 1 degrees of freedom (scipy's one-sample t-test)."""
+    """For balanced clusters and one parameter, CR2 is the variance of the clusters' means with
+    clusters - 1 degrees of freedom (SciPy's one-sample t-test)."""
     rng = np.random.default_rng(3)
     scores, information, light, *_ = mean_with_clusters(
         rng, lights=6, pixels=100, shared_by_light=0.3, shared_by_pixel=0.0
     )
-    # Shares come from outer products of scores: equal in every cluster once their sizes are.
+    # Shares are outer products of scores, which are equal in all clusters of equal size.
     scores = scores / np.sqrt(np.bincount(light, scores[0] ** 2) / 100)[light]
     scores = scores - scores.mean()
     found = cluster_robust(scores, information, light, None)
@@ -60,8 +62,8 @@ def test_a_mean_of_few_clusters_is_the_t_test_of_their_means():
     np.testing.assert_allclose(found.freedom, 5, rtol=0.01)
 
 
-def test_what_a_prior_says_is_not_judged_by_clusters():
-    """A prior a thousand times as strong as the data: its width stays."""
+def test_clusters_do_not_widen_a_prior():
+    """The prior is a thousand times as strong as the data, and its width is unchanged."""
     data = mean_with_clusters(
         np.random.default_rng(1), lights=12, pixels=50, shared_by_light=0.3, shared_by_pixel=0.0
     )
@@ -83,7 +85,7 @@ def test_shared_errors_widen_the_covariance_to_the_true_one(by_light, by_pixel):
             shared_by_pixel=by_pixel,
         )
         ratios.append(cluster_robust(*data).covariance[0, 0] / true)
-    # V of 40 clusters scatters by sqrt(2/39) = 0.23.
+    # The variance from 40 clusters scatters by sqrt(2/39) = 0.23.
     assert abs(np.mean(ratios) - 1) < 4 * 0.23 / np.sqrt(60)
 
 
@@ -96,8 +98,8 @@ def test_one_cluster_is_not_judged():
     assert not np.isnan(found.pixel_design_effect)
 
 
-def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
-    """Two clusters of equal means show a variance of zero."""
+def test_clusters_with_equal_means_have_few_degrees_of_freedom():
+    """Two clusters with equal means have a variance of zero."""
     light = np.repeat([0, 1], 4)
     scores = np.tile([-1.0, 1.0, 1.0, -1.0], 2)[None]
     found = cluster_robust(scores, np.array([[8.0]]), light, None, slopes=np.ones((1, 8)))
@@ -106,7 +108,7 @@ def test_clusters_that_agree_by_chance_leave_few_degrees_of_freedom():
 
 
 def test_one_cluster_is_not_judged_by_a_prior():
-    """A weak prior leaves a little residual in it, as if a thousand times more were known."""
+    """A weak prior leaves a small residual in the only cluster."""
     scores = np.array([[-1.0, 1.0, 1.0, -1.0 + 1e-3]])
     information = np.array([[4.0]])
     found = cluster_robust(
@@ -124,8 +126,8 @@ def power(matrix, exponent):
 
 
 def test_several_parameters_as_by_the_dense_matrices():
-    """V = sum X_g' (I - H_gg)^-1/2 e e' (I - H_gg)^-1/2 X_g, and the trace formula of its degrees
-    of freedom, with matrices over all samples (Bell & McCaffrey 2002)."""
+    """V = sum X_g' (I - H_gg)^-1/2 e e' (I - H_gg)^-1/2 X_g and the trace formula of its degrees of
+    freedom are computed with matrices over all samples (Bell & McCaffrey 2002)."""
     rng = np.random.default_rng(4)
     light = np.repeat(np.arange(6), 10)
     x = rng.standard_normal((6, 3))[light] + 0.3 * rng.standard_normal((60, 3))
@@ -144,9 +146,10 @@ def test_several_parameters_as_by_the_dense_matrices():
     np.testing.assert_allclose(found.freedom, freedom, rtol=1e-9)
 
 
-def test_clusters_of_two_kinds_add_up_less_what_both_count():
-    """V of the lights and of the pixels, less that of the samples one by one (Cameron, Gelbach &
-    Miller 2011), by dense matrices; residuals twice as large as the information has them."""
+def test_two_way_clusters_subtract_what_both_count():
+    """The covariance is V of the lights plus V of the pixels minus V of single samples (Cameron,
+    Gelbach & Miller 2011), by dense matrices. The residuals are twice as large as the information
+    assumes."""
     rng = np.random.default_rng(5)
     light, pixel = (x.ravel() for x in np.indices((8, 20)))
     x = 0.5 * rng.standard_normal((160, 2)) + rng.standard_normal((20, 2))[pixel]
@@ -172,8 +175,9 @@ def test_clusters_of_two_kinds_add_up_less_what_both_count():
     ("lights", "parameters"), [(6, 1), (6, 3), (8, 1), (8, 3), (12, 4), (40, 4)]
 )
 def test_intervals_cover_with_few_lights_and_several_parameters(lights, parameters):
-    """The hardest case, linear regression whose columns and errors belong to the light, the errors
-    sixty times those of its pixels: residuals of the lights with most leverage are shrunk most."""
+    """The hardest case is a linear regression whose columns and errors belong to the light, with
+    errors sixty times those of the pixels. The residuals of the lights with most leverage shrink
+    most."""
     rng = np.random.default_rng(lights * 10 + parameters)
     pixels, inside = 30, []
     light = np.repeat(np.arange(lights), pixels)
@@ -191,8 +195,8 @@ def test_intervals_cover_with_few_lights_and_several_parameters(lights, paramete
     assert 0.925 < np.mean(inside) < 0.975
 
 
-def test_levels_that_cross_are_those_of_naive_sums():
-    """Frames, rows and columns of 6 x 7 x 8 data that share errors of each, slopes all 1."""
+def test_crossed_levels_equal_naive_sums():
+    """The data are 6 x 7 x 8, with shared errors of frames, rows and columns, and slopes of 1."""
     rng = np.random.default_rng(4)
     shape = (6, 7, 8)
     frame, row, column = (index.ravel() for index in np.indices(shape))
@@ -228,8 +232,9 @@ def test_a_level_within_another_adds_nothing():
 
 
 @pytest.mark.slow
-def test_a_fit_takes_levels_by_name():
-    """Intervals of the mean of frames, rows and columns that share errors, 200 fits."""
+def test_a_fit_with_named_levels_covers():
+    """Intervals of the mean over 200 fits cover the true value if frames, rows and columns share
+    errors."""
     shape = (8, 9, 10)
     labels = dict(zip(("frame", "row", "column"), np.indices(shape), strict=True))
     likelihood = Clustered(Gaussian(sd=1.0), labels)

@@ -1,5 +1,5 @@
-"""Autocorrelation times against emcee's, R-hat and effective draws against ArviZ', and both against
-an autoregression, whose own are known: tau = (1 + rho) / (1 - rho)."""
+"""Tests autocorrelation times against emcee's, R-hat and effective sample sizes against ArviZ, and
+both against an autoregression, where tau = (1 + rho) / (1 - rho)."""
 
 import arviz
 import emcee
@@ -16,7 +16,7 @@ from fitting.inference.convergence import (
 
 
 def autoregression(rho, *shape, seed=0):
-    """x_t = rho x_(t-1) + noise along the first axis, of variance 1 from the start."""
+    """Return x_t = rho x_(t-1) + noise along the first axis, with variance 1 from the start."""
     noise = np.random.default_rng(seed).standard_normal(shape)
     noise[1:] *= np.sqrt(1 - rho**2)
     return lfilter([1.0], [1.0, -rho], noise, axis=0)
@@ -31,9 +31,9 @@ def test_autocorrelation_times_are_emcees():
 
 
 @pytest.mark.parametrize("length", [5, 10, 20, 40])
-def test_a_short_chain_underestimates_its_autocorrelation_time_by_what_is_known(length):
-    """Chains of 5 to 40 autocorrelation times, of which an estimate finds a third to five sixths;
-    the scatter of one estimate is 6 %."""
+def test_the_bias_of_short_chains_is_corrected(length):
+    """Chains of 5 to 40 autocorrelation times give a third to five sixths of the true value. One
+    estimate scatters by 6 %."""
     tau, steps = 39.0, 39 * length
     chain = autoregression(0.95, steps, 64, 20)
     found = np.mean(autocorrelation_times(chain))
@@ -61,7 +61,7 @@ def test_r_hat_and_effective_draws_are_arviz(rho, shift):
         np.testing.assert_allclose(effective_draws(draws), expected, rtol=0.3)
 
 
-def test_chains_that_disagree_in_width_alone_are_seen():
+def test_chains_that_differ_only_in_width_are_detected():
     draws = autoregression(0.0, 1000, 4).T
     draws[0] *= 3
     assert split_r_hat(draws) > 1.05

@@ -1,4 +1,5 @@
-"""Data that are clipped or rounded, or whose standard deviations follow their noise, are told."""
+"""Tests the detection of clipped or rounded data, and of standard deviations computed from noisy
+data."""
 
 import re
 
@@ -40,7 +41,7 @@ def noisy(seed=0):
         (0.25 * np.round(noisy() / 0.25), r"All data lie 0\.25 apart .* 1[1-4] times the noise"),
     ],
 )
-def test_data_that_are_clipped_or_rounded_are_told(data, expected):
+def test_clipped_or_rounded_data_are_named(data, expected):
     found = fitted(data, Gaussian(sd=SD))
     assert not found.converged
     assert re.search(expected, found.failures[0]), found.failures[0]
@@ -62,8 +63,8 @@ def test_constant_data_are_neither_clipped_at_one_end_nor_copies():
         assert told[0].startswith(f"All 60 data are equal to {level:.6g}")
 
 
-def test_copies_among_the_data_are_told():
-    """Of 200 data 50 are independent: standard errors are half of what they should be."""
+def test_copies_among_the_data_are_named():
+    """Only 50 of 200 data are independent, so standard errors are half of the right ones."""
     copied = noisy()[::4].repeat(4)
     line = {"level": Parameter(lower=-5, upper=5), "slope": Parameter(lower=-5, upper=5)}
     found = fit(
@@ -81,7 +82,7 @@ def test_copies_among_the_data_are_told():
     assert "too narrow, by a factor of 2." in told
     own = fitted(noisy(), Gaussian(sd=SD))
     assert not any("copies" in one for one in (*own.failures, *own.findings))
-    zero = np.where(TIME > 2, 0.0, noisy())  # equal, and no copies
+    zero = np.where(TIME > 2, 0.0, noisy())  # equal, but not copies
     missed = fitted(zero, Gaussian(sd=SD))
     assert not any("copies" in one for one in (*missed.failures, *missed.findings))
 
@@ -99,8 +100,8 @@ def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
 
 
 @pytest.mark.slow
-def test_standard_deviations_that_follow_the_data_are_told():
-    """Sum of the data less that of the predictions."""
+def test_standard_deviations_computed_from_the_data_are_named():
+    """The sum of the predictions is below the sum of the data."""
     counts = np.random.default_rng(1).poisson(9 * TRUE).astype(float)
     found = fitted(counts, Gaussian(sd=np.sqrt(np.maximum(counts, 1))))
     assert "follow the data themselves" in found.failures[0]
@@ -114,7 +115,7 @@ def test_standard_deviations_that_follow_the_data_are_told():
 
 @pytest.mark.slow
 def test_poissons_law_fits_few_counts():
-    """What the sentence advises."""
+    """The printed advice is to fit with Poisson noise."""
     counts = np.random.default_rng(1).poisson(3 * TRUE).astype(float)
     sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), read_noise=0.05, gain=1.0)
     problem = Problem(
@@ -157,7 +158,8 @@ def test_the_data_of_a_map_are_checked_as_those_of_one_fit(change, expected):
 
 
 def line_far_from_zero(share, seed):
-    """A line with noise of .05 whose data have their last digit at `share` times the noise."""
+    """Return a problem of a line with noise of .05, whose data have a last digit of `share` times
+    the noise."""
     rng, x = np.random.default_rng(seed), np.linspace(0, 10, 200)
     offset = share * 0.05 / np.finfo(jnp.result_type(float)).eps
     return Problem(
@@ -171,24 +173,24 @@ def line_far_from_zero(share, seed):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("share", [1.2, 2000.0])
-def test_data_with_fewer_digits_than_their_noise_needs_are_told(share):
+def test_data_with_too_few_digits_are_named(share):
     found = fit(line_far_from_zero(share, 0))
     assert not found.converged
     told = float(re.search(r"at (\S+) times the noise", found.failures[0]).group(1))
-    assert share / 2 < told <= 2 * share  # one digit of a binary number
+    assert share / 2 < told <= 2 * share  # within a binary digit
     assert "subtract a constant" in found.failures[0]
     assert ("jax_enable_x64" in found.failures[0]) == (jnp.result_type(float) == np.float32)
     assert not any("edges of shadows" in one for one in found.findings)
 
 
-def test_rounding_of_the_cost_is_no_step_uphill():
-    """Where the sum of squares is rounded, and the parameters are known to their last digit."""
+def test_rounding_of_the_cost_is_not_taken_for_an_increase():
+    """The sum of squares is rounded, and the parameters are known to their last digit."""
     found = fit(line_far_from_zero(2e-4, 1), starts=4)
     assert found.converged
     assert abs(float(found.values["slope"]) - 3) < 4 * 0.00122
 
 
-def test_numbers_of_half_precision_are_told():
+def test_half_precision_data_are_named():
     x = np.linspace(0, 10, 200)
     y = 1000 + 30 * x + np.random.default_rng(0).normal(0, 0.05, 200)
     line = {"level": Parameter(start=900.0), "slope": Parameter(start=20.0)}
@@ -212,7 +214,7 @@ def test_numbers_of_half_precision_are_told():
 
 
 def test_two_equal_numbers_of_eleven_are_no_copies():
-    """Measured to six digits, two of them equal by chance."""
+    """The data have six digits, and two of them are equal by chance."""
     data = np.array([1.54378, 1.54341, 1.55381, 1.54877, 1.55381, 1.56225])
     data = np.concatenate([data, [1.56568, 1.56822, 1.58282, 1.60016, 1.62545]])
     found = fit(

@@ -1,4 +1,5 @@
-"""Identifiability against the textbook variance inflation factor and against designed confusion."""
+"""Tests identifiability against the textbook variance inflation factor and against constructed
+collinearity."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ def design(correlation):
 
 @pytest.mark.parametrize("correlation", [0.0, 0.9, 0.999])
 def test_inflation_is_the_root_of_the_variance_inflation_factor(correlation):
-    """VIF_i = 1 / (1 - R_i^2) with R_i^2 from regressing column i on the others, no intercept."""
+    """VIF_i = 1 / (1 - R_i^2), with R_i^2 from regressing column i on the others without an
+    intercept."""
     columns = design(correlation)
     judged = identifiability(SPACE, columns.T @ columns)
     for i in range(3):
@@ -28,7 +30,7 @@ def test_inflation_is_the_root_of_the_variance_inflation_factor(correlation):
     assert judged.determined
 
 
-def test_a_confused_pair_is_named_and_a_good_design_is_silent():
+def test_a_collinear_pair_is_named_and_a_good_design_is_not():
     assert identifiability(SPACE, design(0.1).T @ design(0.1)).sentences == ()
     (sentence,) = identifiability(SPACE, design(0.999).T @ design(0.999)).sentences
     assert "gain" in sentence
@@ -36,7 +38,7 @@ def test_a_confused_pair_is_named_and_a_good_design_is_silent():
     assert "exponent" not in sentence
 
 
-def test_an_open_direction_is_reported_not_inverted():
+def test_an_unidentifiable_direction_is_reported_and_not_inverted():
     columns = design(1.0)
     judged = identifiability(SPACE, columns.T @ columns)
     assert not judged.determined
@@ -46,7 +48,7 @@ def test_an_open_direction_is_reported_not_inverted():
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, -1.0])
-def test_a_parameter_the_data_do_not_see(value):
+def test_a_parameter_without_influence_on_the_data(value):
     judged = identifiability(SPACE, np.diag([1.0, value, 2.0]))
     assert not judged.determined
     assert judged.sentences == ("The data say nothing about gamma.",)
@@ -63,9 +65,9 @@ def test_scaling_a_parameter_changes_nothing():
 
 
 @pytest.mark.parametrize(("error", "told"), [(0.003, False), (0.2, True)])
-def test_confusion_is_told_where_knowing_more_would_help(error, told):
-    """A gain and an identity parameter at 5, each with this relative error, 22 times wider than if
-    the other were known."""
+def test_collinearity_is_reported_where_it_matters(error, told):
+    """A gain and an identity parameter at 5 have this relative error, 22 times larger than if the
+    other were known."""
     space = (Parameter("gain", symbol="K", unit="1", transform="log"), SPACE[1])
     spread = np.array([1.0, 5.0]) * error
     covariance = np.outer(spread, spread) * np.array([[1, 0.999], [0.999, 1]])
@@ -77,8 +79,9 @@ def test_confusion_is_told_where_knowing_more_would_help(error, told):
 
 
 @pytest.mark.parametrize(("origin", "told"), [(1.7e9, False), (0.0, True)])
-def test_a_line_over_dates_in_seconds_is_told_to_move_its_origin(origin, told):
-    """Minutes since 1970 leave a condition of 1e13; the same line from 0 is identifiable."""
+def test_a_line_over_dates_in_seconds_is_advised_to_shift_its_origin(origin, told):
+    """With minutes since 1970 the condition number is 1e13. The same line is identifiable if time
+    starts at 0."""
     seconds = origin + 60.0 * np.arange(30)
     columns = np.stack([seconds, np.ones(30)], axis=1) / 0.01
     judged = identifiability(SPACE[:2], columns.T @ columns)

@@ -1,4 +1,5 @@
-"""What a fit says of itself: groups, misfits, ends of ranges, saddles; bands; chains that go on."""
+"""Tests what a fit reports: groups, misfits, bounds, saddle points and predictive intervals, and
+that chains continue."""
 
 import re
 from functools import partial
@@ -44,8 +45,9 @@ def level(data, likelihood=NOISY, parameter=FREE):
 
 
 @pytest.mark.slow
-def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_draws():
-    """Noise three times as stated: a new datum scatters by sd sqrt(1 + 1 / n), inflated."""
+def test_predictive_intervals_with_inflated_noise():
+    """The noise is three times the stated one. A new datum scatters by sd sqrt(1 + 1 / n),
+    inflated."""
     found = fit(level(2 + 0.3 * NOISE), misfit="inflate")
     assert found.converged
     bands = found.predictive(draws=4000)
@@ -59,8 +61,9 @@ def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_d
 @pytest.mark.parametrize(
     "posterior", [Emcee(walkers=32, steps=1500, block=500)], ids=lambda x: type(x).__name__
 )
-def test_a_sampler_tempers_the_data_and_not_the_prior(posterior):
-    """Normal prior 1.5 +- .02; data 2, whose mean is known to .1 / sqrt(60), tempered."""
+def test_a_sampler_tempers_the_likelihood_and_not_the_prior(posterior):
+    """The prior is N(1.5, 0.02), and the mean of the data is 2 with a tempered error of .1 /
+    sqrt(60)."""
     prior = Normal(1.5, 0.02)
     found = fit(
         level(2 + 0.3 * NOISE, parameter=Parameter(prior=prior)),
@@ -75,7 +78,7 @@ def test_a_sampler_tempers_the_data_and_not_the_prior(posterior):
     assert abs(drawn.mean() - mean) < 0.1 * sd
 
 
-def test_starts_that_are_given_are_kept_beside_ones_that_are_not():
+def test_given_starts_are_kept_and_others_drawn():
     problem = Problem(
         {"a": Parameter(start=0.3), "b": Parameter(lower=0, upper=1)},
         lambda a, b: jnp.stack([a, b]),
@@ -95,20 +98,20 @@ def test_one_prior_for_each_number_of_an_array():
 
 
 END = "of its range"
-WIDE = 0.1 * np.sqrt(COUNT)  # the mean of all data is known to .1
+WIDE = 0.1 * np.sqrt(COUNT)  # the mean of all data has an error of .1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("parameter", "middle", "expected"),
     [
-        (Parameter(lower=0, upper=100), 0.9, ()),  # 9 of its own deviations above 0
+        (Parameter(lower=0, upper=100), 0.9, ()),  # 9 standard errors above 0
         (Parameter(lower=0, upper=100), 0.0, ("lower",)),
         pytest.param(Parameter(lower=0, start=1.0), -0.1, ("lower",), marks=pytest.mark.slow),
         pytest.param(Parameter(upper=3, start=1.0), 3.1, ("upper",), marks=pytest.mark.slow),
     ],
 )
-def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
+def test_a_bound_is_near_in_standard_errors(parameter, middle, expected):
     found = fit(level(middle + WIDE * NOISE, Gaussian(WIDE), parameter))
     told = [s for s in found.findings if END in s]
     assert len(told) == len(expected)
@@ -116,7 +119,7 @@ def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
 
 
 @pytest.mark.slow
-def test_a_single_search_says_that_it_was_one():
+def test_a_single_search_is_reported_as_one():
     words = "a better optimum may have been missed"
     problem = level(NOISE, Gaussian(1.0))
     told = [any(words in s for s in fit(problem, starts=n).findings) for n in (1, 2)]
@@ -124,15 +127,15 @@ def test_a_single_search_says_that_it_was_one():
 
 
 @pytest.mark.slow
-def test_searches_that_run_against_one_bound_ended_at_one_place():
-    """Levenberg and Marquardt's ends lie anywhere below u = -10, which is one place in x."""
+def test_searches_that_end_at_one_bound_agree():
+    """Levenberg-Marquardt ends anywhere below u = -10, which is the same x."""
     found = fit(level(-1.0 + NOISE, Gaussian(1.0), Parameter(lower=0.0, start=1.0)), starts=16)
     assert not any("ended elsewhere" in s for s in found.failures)
 
 
 @pytest.mark.slow
-def test_a_wide_parameter_on_its_own_scale_is_not_called_skewed():
-    """A mean of 2000 +- 1: Gaussian in its own unit, whatever that is."""
+def test_a_wide_gaussian_parameter_is_not_called_skewed():
+    """A mean of 2000 +- 1 is Gaussian in its own unit."""
     found = fit(level(2000 + np.sqrt(COUNT) * NOISE, Gaussian(np.sqrt(COUNT))))
     assert not any("Gaussian may misjudge" in s for s in found.findings)
 
@@ -148,8 +151,8 @@ def test_a_saddle_is_a_failure_in_words():
 
 
 @pytest.mark.slow
-def test_directions_that_seven_digits_cannot_tell_name_sixteen():
-    """Two levels that differ by 1e-4 of a slope: told apart in float64, not in float32."""
+def test_directions_beyond_float32_advise_float64():
+    """The levels differ by 1e-4 of a slope, which float64 can resolve and float32 cannot."""
     place = np.linspace(-1, 1, COUNT)
 
     def fitted():
@@ -171,8 +174,8 @@ def grouped(data, labels, *, slope=True, **options):
 
 
 @pytest.mark.slow
-def test_groups_excuse_a_misfit_where_its_errors_are_theirs():
-    """Offsets of 30 groups, a hundred times the noise; then data whose own noise is as large."""
+def test_groups_explain_a_misfit_by_shared_errors():
+    """Offsets of 30 groups are a hundred times the noise. Then the data's own noise is as large."""
     labels = np.repeat(np.arange(30), 8)
     rng = np.random.default_rng(4)
     noise, offsets = rng.standard_normal(240), rng.standard_normal(30)[labels]
@@ -187,7 +190,7 @@ def test_groups_excuse_a_misfit_where_its_errors_are_theirs():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("groups", [1, 3])
-def test_too_few_groups_excuse_nothing(groups):
+def test_too_few_groups_explain_nothing(groups):
     x = np.linspace(-1.0, 1.0, 30)
     few = grouped(x**2, np.arange(30) * groups // 30)
     assert not few.converged
@@ -206,9 +209,9 @@ def mean_of_pairs(data, start):
 
 
 @pytest.mark.slow
-def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
-    """Two pairs, 2 apart: as two independent means, of which the standard error is 1, one half for
-    four independent data; with one degree of freedom (scipy's one-sample t-test)."""
+def test_insignificant_groups_widen_intervals_and_are_named():
+    """Two pairs are 2 apart. As two independent means their standard error is 1, and as four data
+    one half. There is one degree of freedom (SciPy's one-sample t-test)."""
     found = mean_of_pairs([3.0, 3.0, 1.0, 1.0], 0.0)
     (mean,) = found.estimates
     np.testing.assert_allclose(mean.standard_error, 1, rtol=1e-6)
@@ -222,8 +225,9 @@ def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("x64", [True, False])
-def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
-    """Of a prediction that is zero but for rounding no step is a share: the errors hung on it."""
+def test_groups_give_the_same_errors_if_the_prediction_is_zero(x64):
+    """No step is a fraction of a prediction that is zero up to rounding, and the errors depended on
+    it."""
     with jax.enable_x64(x64):
         found = [mean_of_pairs([1.0, 1.0, -1.0, -1.0], s) for s in (0.0, 0.1, 1.0, -2.0)]
     errors = [one.estimates[0].standard_error for one in found]
@@ -233,8 +237,8 @@ def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.3, 0.02])
-def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen(size):
-    """A parabola and a decay, all linear, the decay's size between 0 and 2."""
+def test_a_bound_that_makes_a_posterior_non_gaussian_is_detected(size):
+    """The model is a parabola and a decay, all linear, with the decay's size between 0 and 2."""
     place = np.linspace(-1.0, 1.0, 80)
     columns = np.stack([np.ones(80), place, place**2, 2 * np.exp(-place)], axis=1)
     noise = 0.05 * np.random.default_rng(8).standard_normal(80)
@@ -260,7 +264,7 @@ def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen(size):
 
 @pytest.mark.slow
 def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
-    """A sine of which one search finds a wrong frequency, in noise as large as that needs."""
+    """One search finds a wrong frequency of a sine, with a fitted noise large enough for it."""
     time = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 120))
     data = np.sin(2 * np.pi * 7.3 * time + 0.4) + 0.3 * np.random.default_rng(2).standard_normal(
         120
@@ -285,8 +289,8 @@ def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
 
 
 @pytest.mark.slow
-def test_neighbours_are_those_by_input_in_whatever_order_data_came():
-    """A parabola fitted by a line, its noise free: only the order of the inputs tells."""
+def test_neighbours_are_sorted_by_input():
+    """A line with free noise is fitted to a parabola. Only the order of the inputs shows it."""
     place = np.random.default_rng(0).permutation(np.linspace(-1.0, 1.0, 200))
     data = place**2 + 0.05 * np.random.default_rng(1).standard_normal(200)
     free = {"a": Parameter(lower=-2, upper=2), "b": Parameter(lower=-2, upper=2)}
@@ -296,9 +300,9 @@ def test_neighbours_are_those_by_input_in_whatever_order_data_came():
 
 
 @pytest.mark.slow
-def test_rounding_of_data_on_the_model_itself_is_no_structure():
+def test_rounding_of_exact_data_is_not_structure():
     x = np.linspace(-1, 1, 50)
-    for sd, offset in ((0.01, 0.0), (1.0, 1e-4)):  # exact, and far below the noise
+    for sd, offset in ((0.01, 0.0), (1.0, 1e-4)):  # exact, and below the noise
         problem = Problem(
             {name: Parameter(lower=-10, upper=10) for name in "ab"},
             predict=lambda a, b, inputs: a + b * inputs,
@@ -313,7 +317,7 @@ def test_rounding_of_data_on_the_model_itself_is_no_structure():
 
 @pytest.mark.slow
 def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
-    """Whose residual has a slope to one side only."""
+    """The residual of this pixel has a slope on one side only."""
     sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), read_noise=3.0, gain=0.5, offset=50.0)
     shape = np.concatenate([np.linspace(0.0, 1.0, 30)] * 4)
     labels = np.repeat(np.arange(4), 30)
@@ -332,7 +336,7 @@ def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
     assert 0.02 < (high - low) / 4000 < 0.4
 
 
-def test_what_is_no_problem_and_no_start_is_refused():
+def test_invalid_problems_and_starts_are_refused():
     with pytest.raises(InputError, match="fit: problem must be a Problem, got int"):
         fit(3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="start: give natural values by name, got 3"):
@@ -352,7 +356,7 @@ def test_labels_of_another_shape_are_refused():
     ],
     ids=["emcee", "nuts"],
 )
-def test_a_chain_goes_on_as_if_it_had_never_stopped(short, long):
+def test_a_chain_continues_as_if_uninterrupted(short, long):
     problem = level(2 + 0.1 * NOISE)
     run = partial(fit, problem, starts=2)
     begun = run(posterior=short)
@@ -365,7 +369,7 @@ def test_a_chain_goes_on_as_if_it_had_never_stopped(short, long):
 
 
 @pytest.mark.slow
-def test_nan_in_the_inputs_of_a_robust_fit_is_told():
+def test_nan_in_the_inputs_of_a_robust_fit_is_named():
     holes = jnp.where(jnp.arange(COUNT) == 7, jnp.nan, ONES)
     problem = Problem(
         {"a": Parameter(start=0.0)}, constant, StudentT(0.1), 2 + 0.1 * NOISE, inputs=holes
@@ -397,8 +401,8 @@ def ball(lamp, exponent, diffuse):
 
 
 @pytest.mark.slow
-def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
-    """README's ball with outliers: without least squares first, half of the searches get lost."""
+def test_a_ball_under_students_t_is_found_from_all_starts():
+    """The README's ball with outliers. Without least squares first, half of the searches fail."""
     truth = ball((1.0, 1.5, 3.0), 25.0, 0.3)
     picture = np.asarray(jv.render(truth, VIEW)[..., 0])
     problem = Problem(
@@ -420,8 +424,8 @@ def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
 
 
 @pytest.mark.slow
-def test_one_of_many_optima_is_no_success():
-    """A sine of unknown frequency in noise of its own size."""
+def test_one_of_many_optima_is_not_converged():
+    """A sine of unknown frequency has noise as large as its amplitude."""
     rng = np.random.default_rng(5)
     time = np.sort(rng.uniform(0, 10, 120))
     data = 0.2 + 0.8 * np.sin(2 * np.pi * 3.3 * time + 0.7) + rng.standard_normal(120)
@@ -447,8 +451,9 @@ def test_one_of_many_optima_is_no_success():
     assert said
 
 
-def test_two_residuals_of_two_unknowns_that_bounds_stop():
-    """The minimum of Rosenbrock's valley lies beyond the bounds: a misfit, in possible numbers."""
+def test_two_residuals_of_two_unknowns_at_their_bounds():
+    """The minimum of Rosenbrock's valley is outside the bounds. The report of the misfit has no
+    negative threshold."""
     problem = Problem(
         {name: Parameter(lower=-2.0, upper=0.75) for name in ("x", "y")},
         lambda x, y: jnp.stack([1 - x, 10 * (y - x**2)]),
@@ -462,9 +467,9 @@ def test_two_residuals_of_two_unknowns_that_bounds_stop():
 
 
 @pytest.mark.slow
-def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
-    """A penumbra of 64 steps over a row of pixels, under light that falls off from a lamp which
-    moves with it: automatic derivatives see the falling off alone."""
+def test_a_moving_edge_is_followed_by_finite_differences():
+    """A penumbra of 64 steps crosses a row of pixels, under a lamp that moves with it. Automatic
+    derivatives see only the change of distance."""
     place = np.linspace(0.0, 1.0, 200)
     offsets = 0.05 * (np.arange(64) + 0.5) / 64
 
@@ -484,14 +489,15 @@ def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
         for edge in np.linspace(0.39, 0.42, 121)
     ]
     own = float(jnp.sum((predict(**result.values) - data) ** 2)) / 0.05**2 / 2
-    assert own < min(costs) + 0.5  # within one standard deviation of the lowest of a fine grid
+    assert own < min(costs) + 0.5  # the lowest of a fine grid
     assert abs(float(result.values["edge"]) - 0.4012) < 0.004
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 4, 5, 6])
-def test_the_place_of_a_step_is_known_to_the_distance_of_the_data(seed):
-    """It was known to a tenth of that or less, and up to ten of its standard errors off."""
+def test_the_position_of_a_step_has_the_error_of_the_data_spacing(seed):
+    """An earlier version stated an error of a tenth of the spacing or less, and was wrong by up to
+    ten standard errors."""
     rng, at = np.random.default_rng(seed), np.linspace(0.0, 4.0, 80)
     true = rng.uniform(0.5, 3.5)
     problem = Problem(
@@ -507,9 +513,9 @@ def test_the_place_of_a_step_is_known_to_the_distance_of_the_data(seed):
 
 
 @pytest.mark.slow
-def test_smooth_models_have_nothing_unseen():
+def test_smooth_models_need_no_finite_differences():
     time = jnp.linspace(0.0, 3.0, 50)
-    noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals: much curvature
+    noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals, much curvature
     free = {"height": Parameter(lower=0, upper=10), "rate": Parameter(lower=0, upper=5)}
     problem = Problem(
         free,
@@ -522,7 +528,8 @@ def test_smooth_models_have_nothing_unseen():
 
 
 def _shade_of_a_black_ball(lamp, dense=1024):
-    """The floor below a ball of .5 m, one m up, lit by a lamp of 5 W sr^-1."""
+    """Return the radiance of the floor below a black ball of .5 m, 1 m above it, under a lamp of 5
+    W sr^-1."""
     side = 4 * ((np.arange(dense) + 0.5) / dense - 0.5)
     x, y = np.meshgrid(side, -side)
     toward = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, lamp[2])], -1)
@@ -536,7 +543,8 @@ def _shade_of_a_black_ball(lamp, dense=1024):
 
 @pytest.mark.slow
 def test_a_free_lamp_over_an_occluder_warns_with_what_its_gradient_misses():
-    """Against differences of pictures of a million pixels, with the edges at rest and moving."""
+    """The reference takes differences of pictures with a million pixels, with edges fixed and
+    moving."""
     floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))
     ball = jv.Surface(jv.Sphere([0, 0, 1.0], 0.5), jv.Lambert([0.0]))
     down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
@@ -569,5 +577,5 @@ def test_a_free_lamp_over_an_occluder_warns_with_what_its_gradient_misses():
         shares.append(np.linalg.norm(blocks[1]) / np.linalg.norm(blocks[0]))
     np.testing.assert_allclose(said, max(shares), rtol=0.1)
 
-    warn_of_moving_edges(free([floor, ball], "intensity"))  # no edge moves: any warning fails
+    warn_of_moving_edges(free([floor, ball], "intensity"))  # no edge moves, so any warning fails
     warn_of_moving_edges(free([floor]))

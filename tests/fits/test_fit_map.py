@@ -1,4 +1,5 @@
-"""A fit at every pixel: that of the pixel by itself, coverage, pixels without data, materials."""
+"""Tests fits at every pixel: equality with separate fits, coverage, pixels without data, and
+materials."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from fitting.inference.pixelwise import fit_side_by_side
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 
-ANGLES = np.linspace(0.05, 1.2, 12)  # of 12 lights
+ANGLES = np.linspace(0.05, 1.2, 12)  # for 12 lights
 RNG = np.random.default_rng(5)
 LOBE = {
     "diffuse": Parameter(lower=0, upper=2),
@@ -39,7 +40,8 @@ CLEAN = TRUE["offset"] + TRUE["dark"] * TIMES[:, None, None]
 
 @pytest.fixture(scope="module")
 def images():
-    """Frames of 2000 pixels: one dead, one with two frames left, one saturated to the end."""
+    """Return frames of 2000 pixels. One pixel is dead, one has two frames left, and one is
+    saturated after the first."""
     frames = CLEAN + 0.5 * np.random.default_rng(1).standard_normal(CLEAN.shape)
     frames[:, 3, 4] = np.nan
     frames[2:, 5, 6] = np.nan
@@ -53,7 +55,8 @@ def maps(images):
 
 
 def test_every_pixel_is_weighted_least_squares_and_covers(maps, images):
-    """NumPy's lstsq; intervals of 2000 pixels hold the truth within the binomial band of 99.9 %."""
+    """The estimates equal NumPy's lstsq, and intervals of 2000 pixels cover the true value within
+    the 99.9 % binomial range."""
     design = np.stack([TIMES, np.ones(8)], axis=1)
     there = ~np.isnan(images).any(axis=0)
     best = np.linalg.lstsq(design, images[:, there], rcond=None)[0]
@@ -71,7 +74,7 @@ def test_every_pixel_is_weighted_least_squares_and_covers(maps, images):
 
 def test_pixels_without_data_are_nan_and_counted(maps, images):
     states = [maps.state[place] for place in ((3, 4), (5, 6), (7, 8))]
-    assert states == [5, 0, 3]  # no data, two frames tell a line, one frame does not
+    assert states == [5, 0, 3]  # no data, two frames (enough for a line), one frame
     for name in LINE:
         assert np.isnan(maps.estimate[name]).sum() == np.isnan(maps.sd[name]).sum() == 2
     assert maps.dof[5, 6] == pytest.approx(0, abs=1e-6)
@@ -83,8 +86,8 @@ def test_pixels_without_data_are_nan_and_counted(maps, images):
     assert not any("fewer data" in s for s in maps.findings)
 
 
-def test_pixels_never_wait_for_each_other_s_threads(images):
-    """No two decompositions of their matrices at the same time (`decompositions`)."""
+def test_pixels_never_wait_for_each_others_threads(images):
+    """No two decompositions of the pixels' matrices run at the same time (`decompositions`)."""
     flat = np.moveaxis(images.reshape(8, -1), -1, 0)[:3]
 
     def run(data):
@@ -95,8 +98,8 @@ def test_pixels_never_wait_for_each_other_s_threads(images):
 
 
 @pytest.mark.slow
-def test_pixels_that_only_bounds_determine_are_counted():
-    """One datum of a line with 15 DN at 1 s: the rate lies between 0 and 15 DN/s, evenly."""
+def test_pixels_determined_only_by_bounds_are_counted():
+    """One datum of 15 DN at 1 s leaves the rate between 0 and 15 DN/s, uniformly."""
     rate = Parameter(lower=0, upper=15)
     problem = Problem(
         {"dark": rate, "offset": rate}, line, Gaussian(sd=0.01), np.zeros(8), inputs=TIMES
@@ -133,7 +136,8 @@ def test_maps_are_written(maps, tmp_path):
     ("likelihood", "pixels"), [(Gaussian(0.001), 20), (Censored(0.001, high=0.9), 3)]
 )
 def test_a_pixel_is_fitted_as_if_it_were_alone(likelihood, pixels):
-    """To 1e-6, and the tolerance of `fit`: 1e-7 in log density, 4.5e-4 standard errors."""
+    """They agree within 1e-6 and the tolerance of `fit`: 1e-7 in log density, or 4.5e-4 standard
+    errors."""
     problem = Problem(LOBE, lobe, likelihood, np.zeros(12), inputs=ANGLES)
     diffuse, exponent = RNG.uniform(0.2, 0.8, pixels), RNG.uniform(8, 60, pixels)
     data = np.asarray(lobe(diffuse[None], exponent[None], ANGLES[:, None]))
@@ -152,8 +156,8 @@ def test_a_pixel_is_fitted_as_if_it_were_alone(likelihood, pixels):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("bounds", [{"start": 1.0}, {"lower": 0.0}, {"lower": 0.0, "upper": 20.0}])
-def test_seven_digits_end_where_sixteen_do(bounds):
-    """To a ten-thousandth of the standard error, 0.5."""
+def test_float32_ends_where_float64_does(bounds):
+    """The optima agree within a ten-thousandth of the standard error of 0.5."""
 
     def fitted():
         pixel = Problem(
@@ -171,7 +175,7 @@ def test_seven_digits_end_where_sixteen_do(bounds):
 
 @pytest.mark.slow
 def test_materials_share_their_parameters():
-    """Labels: least squares over all pixels of a label; inputs of every pixel."""
+    """The reference is least squares over all pixels of a label, with inputs for every pixel."""
     angles = ANGLES[:, None, None] * RNG.uniform(0.8, 1.1, (6, 10))
     labels = np.repeat([0, 1, 2, -1], 15).reshape(6, 10)
     slope, offset = np.array([1.0, 2.0, 3.0, 0.0])[labels], 4.0
@@ -192,7 +196,7 @@ def test_materials_share_their_parameters():
 
 
 @pytest.mark.slow
-def test_more_noise_than_stated_widens_a_pixels_interval():
+def test_excess_noise_widens_the_interval_of_a_pixel():
     frames = CLEAN[:, :1] + 1.5 * RNG.standard_normal((8, 1, 50))
     stated = fit_map(PIXEL, frames, starts=2, chunk=64)
     widened = fit_map(PIXEL, frames, starts=2, chunk=64, misfit="inflate")
@@ -215,6 +219,6 @@ def test_more_noise_than_stated_widens_a_pixels_interval():
         (np.zeros((8, 4)), {"starts": 0}, "number of searches"),
     ],
 )
-def test_shapes_that_do_not_fit_are_said(data, options, expected):
+def test_mismatched_shapes_of_maps_are_refused(data, options, expected):
     with pytest.raises(InputError, match=expected):
         fit_map(PIXEL, data, **options)

@@ -1,5 +1,5 @@
-"""Importance sampling where Laplace fails: densities with known quantiles, Jeffreys' prior of
-scatters, and what a posterior says of itself."""
+"""Tests importance sampling where Laplace's approximation fails: densities with known quantiles,
+Jeffreys' prior of scatters, and the report of a posterior."""
 
 from dataclasses import replace
 
@@ -26,12 +26,13 @@ def gaussian(vector, args):
 
 
 def level(vector, data):
-    """Mean and ln scale of normal data, flat in both: the mean's posterior is Student's t."""
+    """Return the log density of mean and ln scale of normal data, flat in both, where the mean's
+    posterior is Student's t."""
     mean, log_scale = vector
     return -data.size * log_scale - jnp.sum((data - mean) ** 2) / (2 * jnp.exp(2 * log_scale))
 
 
-def test_a_gaussian_is_left_to_laplace():
+def test_a_gaussian_needs_only_laplace():
     precision = jnp.asarray([[4.0, 1.5], [1.5, 1.0]])
     covariance = np.linalg.inv(np.asarray(precision))
     mode = jnp.zeros(2)
@@ -44,7 +45,7 @@ def test_a_gaussian_is_left_to_laplace():
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [6, 10])
 def test_few_data_give_students_t(count):
-    """A Gaussian's 95 % interval of 6 data is 2.57 / 1.96 times too narrow, and more."""
+    """With 6 data, a Gaussian 95 % interval is too narrow by a factor of at least 2.57 / 1.96."""
     data = jnp.asarray(norm.ppf((np.arange(count) + 0.5) / count))
     mean, log_scale = float(data.mean()), float(jnp.log(data.std()))
     mode = jnp.asarray([mean, log_scale])
@@ -63,7 +64,7 @@ def test_few_data_give_students_t(count):
 
 
 def test_the_prior_of_a_scatter_is_jeffreys():
-    """Root of the information, by differences of the Gaussian's entropy."""
+    """The prior is the root of the information, from differences of the Gaussian's entropy."""
     one = jnp.ones(3)
     data = NoiseData(
         light=1e4 * jnp.arange(1.0, 4.0),
@@ -91,8 +92,9 @@ def test_the_prior_of_a_scatter_is_jeffreys():
 
 
 @pytest.mark.slow
-def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
-    """Where proposals do not settle and the chain is short, Laplace's intervals are named so."""
+def test_a_short_chain_that_was_not_requested_is_not_needed(monkeypatch):
+    """If importance sampling fails and the chain is short, the intervals are reported as
+    Laplace's."""
     data = jnp.asarray(norm.ppf((np.arange(6) + 0.5) / 6))
     mode = jnp.asarray([float(data.mean()), float(jnp.log(data.std()))])
     covariance = np.linalg.inv(-np.asarray(jax.hessian(level)(mode, data)))
@@ -105,9 +107,9 @@ def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_fit_says_what_its_approximation_costs():
-    """The ends of Laplace's 95 % interval lie as far from those of the integrated density as the
-    fit says. Of draws, it is the standard error of that quantile of a Gaussian's."""
+def test_a_fit_states_the_error_of_its_approximation():
+    """The ends of Laplace's 95 % interval differ from the integrated density by the stated error.
+    For draws, it is the standard error of a Gaussian's quantile."""
     problem = Problem({"u": Parameter(start=0.7)}, lambda u: jnp.exp(u)[None], Gaussian(0.1), [2.0])
     found = fit(problem, starts=2)
     u = np.linspace(0.3, 1.1, 200_001)

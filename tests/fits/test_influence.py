@@ -1,4 +1,4 @@
-"""How far effects move a fitted number, against fits without them."""
+"""Tests the estimated influence of effects on a fitted number against fits without the effects."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ INTENSITY, EXPONENT, DIFFUSE = (
     "scene.surfaces[1].material.exponent",
     "scene.surfaces[1].material.diffuse",
 )
-FREE = {  # with starts, without which each problem's own would be compiled with it
+FREE = {  # without starts, each problem's own start would be compiled in
     INTENSITY: Parameter(start=[2e4], lower=1e3, upper=1e5),
     EXPONENT: Parameter(start=20.0, lower=3.0, upper=200.0),
     DIFFUSE: Parameter(start=[0.3], lower=0.01, upper=0.9),
@@ -28,7 +28,7 @@ def shown(scene, camera):
 
 
 def planted(seed):
-    """A ball on a floor under a lamp, with effects of random sizes."""
+    """Return a problem of a ball on a floor under a lamp, with effects of random sizes."""
     rng = np.random.default_rng([56, seed])
 
     def some(least, most):
@@ -62,7 +62,7 @@ def planted(seed):
 
 
 @pytest.mark.slow
-def test_no_refit_moves_further_than_its_bound():
+def test_no_refit_moves_by_more_than_its_bound():
     """Each effect of 40 problems is left out, and the problem fitted again."""
     ratios = []
     for seed in range(40):
@@ -83,8 +83,8 @@ def test_no_refit_moves_further_than_its_bound():
 
 
 @pytest.mark.slow
-def test_a_problem_leaves_out_what_does_not_move_its_target():
-    """More is dropped for one number than for all."""
+def test_a_problem_drops_effects_without_influence_on_its_target():
+    """More effects are dropped for one parameter than for all."""
     whole = planted(0)
     small, smaller = called_for(whole), called_for(whole, target="exponent")
     before, after = ({e.name for e in one.left_out.dropped} for one in (small, smaller))
@@ -98,8 +98,9 @@ def test_a_problem_leaves_out_what_does_not_move_its_target():
 
 
 @pytest.mark.slow
-def test_data_of_other_kinds_have_the_influence_of_floats():
-    """Two lamps over a floor: without the far one, the near one gains its share, by projection."""
+def test_integer_and_half_precision_data_have_the_influence_of_floats():
+    """Two lamps are over a floor. Without the far one, the near one gains its share, by
+    projection."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
     lamps = [jv.PointLight([0, 0, 2], [800.0]), jv.PointLight([0, 0, 20], [800.0])]
     view = jv.Orthographic([0, 0, 3], DOWN, 0.2, resolution=(3, 3))

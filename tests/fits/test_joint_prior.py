@@ -1,4 +1,4 @@
-"""A posterior, or draws of a camera, as the prior of another problem."""
+"""Tests a posterior, or the draws of a camera, as the prior of another problem."""
 
 from functools import partial
 
@@ -38,7 +38,7 @@ fitted = partial(fit, starts=2)
 
 
 def line(part, prior=None, *, sd=SD, **other):
-    """Three numbers in which the prediction is linear."""
+    """Return a problem of three parameters with a linear prediction."""
     free = {**FREE, "c": Parameter(start=0.0), **other}
     return Problem(
         free,
@@ -57,7 +57,7 @@ def half():
 
 
 def normal_equations(part, precision=None, centre=None):
-    """Mode and covariance of the linear problem, by its normal equations."""
+    """Return mode and covariance of the linear problem by its normal equations."""
     prior = np.diag([0.3**-2, 0.0, 0.0]) if precision is None else precision
     mean = np.array([1.2, 0.0, 0.0]) if centre is None else centre
     matrix = COLUMNS[part].T @ COLUMNS[part] / SD**2 + prior
@@ -76,15 +76,16 @@ def test_two_halves_of_linear_data_equal_the_whole(half):
     assert not any("hardly from the data" in one for one in both.findings)
     shares = both.budget("a").shares
     assert shares[0].source == "prior of a, b and c"
-    # c^T C P C c over c^T C c, P being the information of the first half.
+    # c^T C P C c over c^T C c, with the information P of the first half.
     along = covariance[0]
     known = np.linalg.inv(normal_equations(FIRST)[1])
     np.testing.assert_allclose(shares[0].share, along @ known @ along / covariance[0, 0], atol=1e-8)
 
 
 @pytest.mark.slow
-def test_other_numbers_are_marginalised_over_and_keep_their_own_priors(half):
-    """a by the first half and b by its own prior, whatever the first half says of b and c."""
+def test_other_parameters_are_marginalised_and_keep_their_own_priors(half):
+    """The prior of a is from the first half and that of b its own, whatever the first half says
+    about b and c."""
     prior = half.as_prior(["a", "c"])
     with jax.enable_x64(True):
         found = fitted(line(SECOND, prior, b=Parameter(prior=Normal(2.1, 0.05))))
@@ -101,7 +102,7 @@ def test_other_numbers_are_marginalised_over_and_keep_their_own_priors(half):
     "names", [{"a": "x", "b": "y"}, {"*": "left.*"}], ids=["by name", "by pattern"]
 )
 @pytest.mark.slow
-def test_names_may_be_others(half, names):
+def test_parameters_may_be_renamed(half, names):
     new = [names.get(one, f"left.{one}") for one in "ab"]
     record = {"left": {"a": 1.0, "b": 1.0}} if "*" in names else None
     with jax.enable_x64(True):
@@ -141,7 +142,7 @@ def test_a_wrong_name_gives_one_sentence(half, names, words):
     assert words in str(caught.value)
 
 
-def test_another_shape_and_what_is_no_prior_are_refused(half):
+def test_mismatched_shapes_and_invalid_priors_are_refused(half):
     with jax.enable_x64(True):
         with pytest.raises(InputError, match=r"prior: a has the shape \(\) there and \(2,\)"):
             line(SECOND, half.as_prior("a"), a=Parameter(start=np.zeros(2)))
@@ -166,8 +167,8 @@ def test_draws_of_a_sampler_are_a_prior(method):
     np.testing.assert_allclose(widths, error, rtol=0.06)
 
 
-def test_a_posterior_that_is_no_gaussian_is_refused():
-    """A rate whose data only bound it."""
+def test_a_non_gaussian_posterior_is_refused():
+    """The data give only an upper bound on a rate."""
     time = np.linspace(0, 1, 5)
     problem = Problem(
         {"rate": Parameter(lower=0, upper=50)},
@@ -191,7 +192,7 @@ def test_a_fit_that_failed_is_refused():
 
 
 @pytest.mark.slow
-def test_a_widening_goes_along():
+def test_inflation_is_passed_on():
     with jax.enable_x64(True):
         found = fitted(line(FIRST, sd=SD / 3), misfit="inflate")
         assert found.noise > 2
@@ -206,8 +207,8 @@ def test_a_widening_goes_along():
 
 @pytest.mark.slow
 def test_few_groups_give_students_t():
-    """Of 6 groups that share errors; where new data say nothing the prior comes back, its intervals
-    those of the first fit."""
+    """The errors are from 6 groups. Where new data say nothing, the prior is reproduced with the
+    intervals of the first fit."""
     rng, labels = np.random.default_rng(3), np.repeat(np.arange(6), 5)
     data = 2.0 + 0.3 * rng.standard_normal(6)[labels] + SD * rng.standard_normal(30)
     with jax.enable_x64(True):
@@ -250,7 +251,7 @@ def test_a_prior_that_new_data_contradict_is_named(half):
 
 @pytest.mark.slow
 def test_a_prior_far_from_the_data_is_the_only_cause_that_is_named():
-    """A decay over a background of .1, then of .3: the search between the two ends uphill."""
+    """The background of a decay is .1, then .3. The search ends uphill between the two."""
     time, noise = np.linspace(0, 5, 200), 0.02 * np.random.default_rng(0).standard_normal(200)
     free = {
         "amplitude": Parameter(lower=0, upper=5),
@@ -287,7 +288,8 @@ def test_a_prior_far_from_the_data_is_the_only_cause_that_is_named():
 
 @pytest.mark.slow
 def test_the_density_is_a_gaussian_copula_of_students_t():
-    """Against SciPy, with two bounds and on a logarithmic scale; slopes against differences."""
+    """The reference is SciPy's, with two bounds and on a log scale. Gradients are compared with
+    differences."""
     marginals = (
         Marginal(0.3, 0.2, 3.0, Parameter(transform="log", lower=0.5, upper=4.0)),
         Marginal(-1.0, 0.5, np.inf, Parameter()),
@@ -314,7 +316,7 @@ def test_the_density_is_a_gaussian_copula_of_students_t():
         )
 
 
-def test_correlations_add_what_the_joint_gaussian_has():
+def test_correlations_add_the_joint_gaussians_part():
     draws = np.random.default_rng(1).multivariate_normal([1, -5], [[1, 0.6], [0.6, 0.5]], 4000)
     with jax.enable_x64(True):
         prior = as_prior({"x": draws[:, 0], "y": draws[:, 1]}, ["x", "y"])
@@ -339,7 +341,7 @@ def test_correlations_add_what_the_joint_gaussian_has():
 
 @pytest.mark.slow
 def test_draws_of_a_camera_file_are_a_prior(tmp_path):
-    """Gain and read noise of a sensor, correlated by -.8, with one datum of each."""
+    """Gain and read noise of a sensor have a correlation of -.8, and there is one datum of each."""
     rng = np.random.default_rng(2)
     spread = 0.02 * rng.multivariate_normal([0, 0], [[1, -0.8], [-0.8, 1]], 1000)
     best = jv.Sensor(gain=0.5, read_noise=4.0, offset=64.0)
@@ -363,7 +365,7 @@ def test_draws_of_a_camera_file_are_a_prior(tmp_path):
             prior=prior,
         )
         found = fitted(problem)
-    # The gain by both, the read noise by the gain: -.8 times its step.
+    # The gain is estimated from both, and the read noise follows the gain by -.8 times its step.
     step = np.mean(spread[:, 0]) + (0.03 - np.mean(spread[:, 0])) * 0.02**2 / (0.02**2 + 0.01**2)
     np.testing.assert_allclose(np.log(found.values["sensor.gain"] / 0.5), step, atol=1e-3)
     np.testing.assert_allclose(
@@ -396,8 +398,8 @@ def test_candidates_and_samplers_take_a_prior(half):
 
 
 @pytest.mark.slow
-def test_phong_from_two_halves_of_the_lights_is_that_of_all_lights():
-    """On a ball; its exponent makes the likelihood no Gaussian."""
+def test_phong_from_two_halves_of_the_lights_equals_all_lights():
+    """The data are photographs of a ball. The exponent makes the likelihood non-Gaussian."""
     rng, side = np.random.default_rng(0), np.linspace(-0.9, 0.9, 24)
     x, y = (one[np.add.outer(side**2, side**2) < 0.9] for one in np.meshgrid(side, side))
     normals = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=1)

@@ -1,4 +1,4 @@
-"""Likelihoods against scipy's densities and the distributions of their own draws."""
+"""Tests likelihoods against SciPy's densities and the distributions of their own draws."""
 
 import jax
 import jax.numpy as jnp
@@ -61,8 +61,9 @@ def test_student_t_with_ends_against_scipy():
 @pytest.mark.slow
 @pytest.mark.parametrize("dof", [0.5, 1.0, 4.0, 30.0, 1000.0, 20_000.0])
 def test_log_of_student_and_its_slope_in_both_tails(dof):
-    """Against 120 digits, where probabilities underflow too, and at the median."""
-    farthest = -1e200 if dof < 1e4 else -1e8  # of which the logarithm is known to eps of itself
+    """The reference has 120 digits, in both tails where probabilities underflow, and at the
+    median."""
+    farthest = -1e200 if dof < 1e4 else -1e8  # the logarithm has an error of eps times itself
     places = np.array([farthest, -1e8, -40.0, -3.0, -0.5, 0.0, 0.7, 6.0, 1e3])
     with mp.workdps(120):
         a, half = mp.mpf(dof) / 2, mp.mpf(1) / 2
@@ -82,8 +83,8 @@ def test_log_of_student_and_its_slope_in_both_tails(dof):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-6)])
-def test_student_of_endless_degrees_of_freedom_is_normal(dtype, tolerance):
-    """In float64 to 40 deviations, where probabilities underflow, too."""
+def test_student_with_infinite_degrees_of_freedom_is_normal(dtype, tolerance):
+    """In float64 this holds to 40 deviations, where probabilities underflow."""
     z = np.array([-40, -37.5, -20, -8, -3, -2.01, -2, -1.99, -0.5, 0, 0.5, 2, 3], dtype)
     found = jax.jit(log_student)(z, dtype(1e17))
     np.testing.assert_allclose(found, stats.norm.logcdf(z.astype(float)), rtol=tolerance)
@@ -99,7 +100,7 @@ def test_censored_against_scipy():
     likelihood = Censored(SD, low=-1.0, high=4.0)
     density = jax.jit(lambda *given: likelihood.log_density(*given))
     np.testing.assert_allclose(density(PREDICTION, data), expected, rtol=1e-10)
-    # far beyond an end the probability is still a number, and so is its slope
+    # far beyond a limit the probability and its gradient are still finite
     far = np.full(4, 400.0)
     value, slope = jax.jit(
         jax.value_and_grad(lambda p: Censored(SD, high=4.0).log_density(p, far).sum())
@@ -153,12 +154,12 @@ def test_a_name_in_place_of_a_number():
         (lambda: Clustered(NOISY, ["a", "b"]), r"numpy\.unique"),
     ],
 )
-def test_a_likelihood_that_is_none_is_refused(wrong, expected):
+def test_an_invalid_likelihood_is_refused(wrong, expected):
     with pytest.raises(InputError, match=expected):
         wrong()
 
 
-def test_ends_of_one_side_and_names_are_kept():
+def test_one_sided_limits_and_names_are_kept():
     assert Censored("s", low="black", high=4).low == "black"
     assert StudentT("s", low=-np.inf).high is None
 
@@ -192,7 +193,7 @@ def fitted(likelihood, data):
 
 @pytest.mark.slow
 def test_outliers_of_saturated_data():
-    """Either alone misses the slope: outliers pull a censored Gaussian, ends a robust line."""
+    """Neither suffices alone: outliers bias a censored Gaussian, and saturation a robust line."""
     data = 3 * LINE + 0.3 * np.random.default_rng(0).standard_t(4, 200)
     data[::20] -= 5
     data = np.minimum(data, 1.0)
@@ -214,7 +215,7 @@ def test_saturated_data_bias_a_gaussian_and_not_a_censored_fit():
 
 
 def test_chi_square_without_a_degree_of_freedom_has_an_exact_quantile():
-    """A bound stops two parameters at two data."""
+    """A bound stops two parameters fitted to two data."""
     found = judge(np.array([25.0, 1.3]), 2 - 3e-4)
     assert found.dof < 1
     assert found.p < 1e-100
@@ -232,7 +233,8 @@ def sensor(**options):
 
 
 def test_sensor_noise_has_the_sensors_mean_and_variance():
-    """EMVA 1288: mean K eta p + offset, variance K^2 (eta p + sigma^2) + 1/12; ends censored."""
+    """By EMVA 1288 the mean is K eta p + offset and the variance K^2 (eta p + sigma^2) + 1/12,
+    censored at the ends."""
     light, code = (
         np.array([[200.0], [2000.0], [1e5], [0.0]]),
         np.array([[70.0], [350.0], [1023.0], [0.0]]),
@@ -248,8 +250,9 @@ def test_sensor_noise_has_the_sensors_mean_and_variance():
     np.testing.assert_allclose(ours, expected, rtol=1e-9)
 
 
-def test_a_search_with_a_sensor_begins_with_the_variance_of_the_data():
-    """Light 4 a datum and e-; the variance is K (d - o) + (K read noise)^2 + 1/12."""
+def test_a_search_with_a_sensor_starts_from_the_variance_of_the_data():
+    """The light is 4 for each datum and electron, and the variance K (d - o) + (K read noise)^2 +
+    1/12."""
     known = Sensor(
         shot_noise=PoissonShotNoise(),
         quantum_efficiency=0.25,
@@ -269,8 +272,9 @@ def test_a_search_with_a_sensor_begins_with_the_variance_of_the_data():
     assert SensorNoise("camera.sensor").surrogate is None
 
 
-def test_noise_sources_of_a_sensor_are_those_of_the_standard():
-    """EMVA 1288, DN^2: K^2 eta p of the photons, K^2 sigma^2 of the read-out, 1/12 of rounding."""
+def test_noise_sources_of_a_sensor_follow_the_standard():
+    """By EMVA 1288, in DN^2: K^2 eta p for photons, K^2 sigma^2 for the read noise, 1/12 for
+    rounding."""
     light = np.array([[200.0], [2000.0]])
     options = {"quantum_efficiency": 0.5, "read_noise": 3.0, "gain": 0.3, "offset": 2.0}
     sources = SensorNoise(sensor(**options, bits=10)).noise_sources(jnp.asarray(light))
@@ -282,11 +286,11 @@ def test_noise_sources_of_a_sensor_are_those_of_the_standard():
 
 
 def test_draws_of_a_coarse_sensor_are_rounded_once():
-    """Over all places between two codes: variance K^2 sigma^2 + 1/12."""
+    """Averaged over all positions between two codes, the variance is K^2 sigma^2 + 1/12."""
     likelihood = SensorNoise(Sensor(read_noise=1.0, gain=0.5, bits=10))
     light = jnp.linspace(200.0, 1000.0, 40_000)[:, None]
     left = np.asarray(likelihood.draw(jax.random.key(2), light)) - 0.5 * np.asarray(light)
-    np.testing.assert_allclose(left.var(), 0.25 + 1 / 12, rtol=0.04)  # known to 0.7 %
+    np.testing.assert_allclose(left.var(), 0.25 + 1 / 12, rtol=0.04)  # with an error of 0.7 %
     assert abs(left.mean()) < 0.015
 
 
@@ -294,14 +298,16 @@ def test_draws_of_a_coarse_sensor_are_rounded_once():
 @pytest.mark.sweep
 @pytest.mark.parametrize(("light", "code"), [(0.01, 3.0), (0.01, 60.0), (300.0, 0.0), (2.0, 255.0)])
 def test_a_code_far_from_the_mean_has_its_probability(light, code):
-    """Against 60 digits: dozens of standard deviations off, where no electron is near the code."""
+    """The reference has 60 digits, dozens of standard deviations away, where no electron count
+    gives the code."""
     gain, offset, noise = 0.5, 20.0, 1.5
     camera = sensor(read_noise=noise, gain=gain, offset=offset, bits=8)
     likelihood = SensorCounts(camera, reach=13)
     with mp.workdps(60):
 
         def share(n):
-            """By the tail in which the interval lies, where no digits cancel."""
+            """Return the probability from the tail that contains the interval, where no digits
+            cancel."""
             centre = code - offset - gain * n
             side = 1 if centre < 0 else -1
             ends = sorted(side * (centre + half) / (gain * mp.mpf(noise)) for half in (-0.5, 0.5))
@@ -324,8 +330,9 @@ def test_a_code_far_from_the_mean_has_its_probability(light, code):
 @pytest.mark.parametrize(
     ("light", "code"), [(0.5, 40.0), (0.5, 900.0), (0.5, 1.0), (2000.0, 3000.0), (2000.0, 6000.0)]
 )
-def test_residuals_of_outliers_are_as_large_on_both_sides(light, code, dtype):
-    """Against mpmath: from 3 to 90 standard deviations, where one less a probability is 1."""
+def test_residuals_of_outliers_are_symmetric(light, code, dtype):
+    """The reference is mpmath's, from 3 to 90 standard deviations, where 1 minus the probability
+    rounds to 1."""
     camera = jax.tree.map(
         lambda x: jnp.asarray(x, dtype), sensor(read_noise=0.2, gain=2.0, offset=0.0, bits=13)
     )
@@ -356,7 +363,7 @@ def test_residuals_of_outliers_are_as_large_on_both_sides(light, code, dtype):
 @pytest.mark.sweep
 @pytest.mark.parametrize("traced", [False, True])
 def test_residuals_of_students_far_outliers_are_finite(traced):
-    """Beyond 38 standard deviations at many degrees of freedom, where the tail underflows."""
+    """Beyond 38 standard deviations the tail underflows for many degrees of freedom."""
     likelihood = StudentT(scale=1.0, dof=1e4, high=60.0)
     data = np.array([-45.0, 30.0, 45.0, 60.0])
 
@@ -377,7 +384,7 @@ def test_residuals_of_students_far_outliers_are_finite(traced):
 @pytest.mark.sweep
 @pytest.mark.parametrize("electrons", [5e4, 1e6, 1e7])
 def test_codes_of_bright_light_keep_their_digits_in_float32(electrons):
-    """ln P of the code of every electron, and residuals, where n ln mu - ln n! cancels."""
+    """ln P of every electron's code and residuals are right, although n ln mu - ln n! cancels."""
     camera = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), sensor(read_noise=0.1, gain=1.0))
     likelihood = SensorCounts(camera, reach=4)
     codes = np.round(electrons + np.linspace(-4, 4, 9) * np.sqrt(electrons)).astype(np.float32)
@@ -398,7 +405,7 @@ def test_codes_of_bright_light_keep_their_digits_in_float32(electrons):
         ({"gain": 0.5, "read_noise": 3.0}, 20, "at least 25 are needed"),
     ],
 )
-def test_a_sensor_that_cannot_be_counted_is_refused(options, reach, expected):
+def test_a_sensor_without_countable_electrons_is_refused(options, reach, expected):
     with pytest.raises(InputError, match=expected):
         SensorCounts(sensor(**options), reach)
     SensorCounts(sensor(gain=0.5, read_noise=3.0), 25)
@@ -435,7 +442,7 @@ def test_residuals_of_a_sensors_draws_are_standard_normal(likelihood):
 
 @pytest.mark.slow
 def test_gain_is_found_from_the_noise_of_a_sensor_in_a_record():
-    """Photon transfer as a problem of one's own: the sensor's gain by its path."""
+    """Photon transfer is stated as a problem, with the sensor's gain as the free parameter."""
     camera = sensor(read_noise=4.0, gain=0.25, offset=64.0, bits=12)
     light = jnp.repeat(jnp.linspace(100.0, 10_000.0, 40), 50)[:, None]
     codes = SensorNoise(camera).draw(jax.random.key(0), light)
@@ -457,9 +464,9 @@ def test_gain_is_found_from_the_noise_of_a_sensor_in_a_record():
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_the_slope_of_a_clipped_pixel_holds_in_the_far_tail(dtype):
-    """phi / Phi by the continued fraction of mpmath's own functions, to ten thousand deviations and
-    beyond, where it is the distance itself."""
+def test_the_gradient_of_a_clipped_pixel_is_right_in_the_far_tail(dtype):
+    """The reference is phi / Phi by mpmath, to ten thousand deviations. Beyond, it is the distance
+    itself."""
     z = jnp.asarray([-1e10, -1e4, -40, -5.001, -4.999, -1, 0, 3], dtype)
     slopes = jax.jit(jax.vmap(jax.grad(log_ndtr)))(z)
     for x, slope in zip(z.tolist(), slopes.tolist(), strict=True):
@@ -471,8 +478,9 @@ def test_the_slope_of_a_clipped_pixel_holds_in_the_far_tail(dtype):
 
 @pytest.mark.parametrize("beyond", [5.0, 11.9, 12.1, 20.0, 40.0])
 @pytest.mark.parametrize("chance", [0.01, 0.5, 0.99])
-def test_deviates_of_clipped_data_far_from_the_prediction(beyond, chance):
-    """Below them lies `chance` of what lies below the end, however little that is."""
+def test_residuals_of_clipped_data_far_from_the_prediction(beyond, chance):
+    """The probability below the residual is `chance` times the probability beyond the limit,
+    however small that is."""
     ends = Censored(jnp.array(1.0), jnp.array(0.0), jnp.array(1.0))
     low = ends.residuals(jnp.array(beyond), jnp.array(0.0), jnp.array(chance))
     high = ends.residuals(jnp.array(1 - beyond), jnp.array(1.0), jnp.array(chance))
@@ -482,8 +490,9 @@ def test_deviates_of_clipped_data_far_from_the_prediction(beyond, chance):
 
 
 @pytest.mark.slow
-def test_a_nonlinearity_taps_and_a_light_offset_count_in_the_law_of_a_code():
-    """A plain sum: Poisson of light and offset, over the curve's signal and each tap's numbers."""
+def test_nonlinearity_taps_and_light_offset_enter_the_probability_of_a_code():
+    """The reference sums the Poisson distribution of light and offset over the curve's signal and
+    each tap's parameters."""
     camera = sensor(
         read_noise=0.3,
         gain=4.0,
@@ -511,7 +520,7 @@ def test_a_nonlinearity_taps_and_a_light_offset_count_in_the_law_of_a_code():
     "effect",
     [{"mixing": even_mixing(0.1)}, {"brighter_fatter": BrighterFatter(1e-7 * np.ones((3, 3)))}],
 )
-def test_electrons_that_pixels_share_are_no_law_of_a_pixel(effect):
+def test_charge_sharing_between_pixels_is_refused(effect):
     (name,) = effect
     with pytest.raises(InputError, match=f"Sensor.{name} changes counted electrons"):
         SensorCounts(sensor(gain=0.5, read_noise=0.5, **effect), 10)
@@ -529,7 +538,7 @@ def plain_shares(light, codes=TABLE_CODES, gain=4.0, noise=0.3, black=10.0):
 
 @pytest.mark.slow
 def test_a_table_of_codes_is_multinomial_within_its_codes():
-    """Two levels of light; numbers outside of a table are not known of."""
+    """There are two light levels. Counts of codes outside the table are not known."""
     tables = SensorCounts(
         sensor(gain=4.0, read_noise=0.3, offset=10.0),
         reach=4,
@@ -558,7 +567,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
     for codes, words in (([5, 6, 5], "hold 5 twice"), ([5, np.nan], "hold one that is not finite")):
         with pytest.raises(InputError, match=f"codes {words}; give each code of a table once"):
             SensorCounts(tables.sensor, 4, codes=codes)
-    # A problem draws tables of as many numbers as its data have.
+    # A problem draws tables with as many counts as its data.
     space = {"mu": Parameter(shape=(2,), transform="log")}
     one = SensorCounts(tables.sensor, 4, codes=TABLE_CODES)
     problem = Problem(space, lambda mu: mu[:, None] * jnp.ones((1, TABLE_CODES.size)), one, counts)
@@ -570,7 +579,8 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
 @pytest.mark.parametrize("traced", [False, True])
 @pytest.mark.sweep
 def test_residuals_of_tables_are_binomial_deviates(traced):
-    """Given the numbers of smaller codes, by SciPy's binomial distribution; and standard normal."""
+    """Given the counts of smaller codes, residuals follow SciPy's binomial distribution and are
+    standard normal."""
     tables = SensorCounts(sensor(gain=4.0, read_noise=0.3, offset=10.0), 4, codes=TABLE_CODES)
     share = plain_shares(2.0)
     counts = RNG.multinomial(300, share, 200).astype(float)
@@ -590,8 +600,8 @@ def test_residuals_of_tables_are_binomial_deviates(traced):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("read_noise", GAINS)
-def test_tables_of_codes_give_all_that_they_tell(read_noise):
-    """200 fits beside the Cramer-Rao bound of a plain sum."""
+def test_tables_of_codes_are_fitted_efficiently(read_noise):
+    """The scatter of 200 fits is compared with the Cramer-Rao bound of a plain sum."""
     found = efficiency(read_noise, 200, seed=1)
     assert found.fits == 200
     assert 0.88 < found.whole < 1.15

@@ -1,5 +1,5 @@
-"""Parameters in which a prediction is linear, found in closed form: the full search, NumPy's and
-SciPy's linear fits, and optima that a search would need a start for."""
+"""Tests parameters found in closed form because the prediction is linear in them, against the full
+search, NumPy's and SciPy's linear fits, and for optima that a search would need a start for."""
 
 import jax
 import jax.numpy as jnp
@@ -42,8 +42,8 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [Gaussian(sd=0.01), StudentT(scale=0.01, dof=5.0)])
 @pytest.mark.parametrize("case", CASES)
-def test_a_fit_is_that_of_the_full_search(case, likelihood):
-    """Where that finds the optimum: from the truth."""
+def test_a_fit_equals_the_full_search(case, likelihood):
+    """The full search starts from the true values."""
     predict, linear, others, how, truth = CASES[case]
     inputs = TIME / 2
     data = np.asarray(predict(*truth, inputs)) + 0.01 * NOISE
@@ -64,7 +64,7 @@ def test_a_fit_is_that_of_the_full_search(case, likelihood):
     assert abs(found.misfit.chi_square - full.misfit.chi_square) < 1e-3
 
 
-def test_of_linear_numbers_alone_the_fit_is_that_of_numpy():
+def test_a_fit_of_only_linear_parameters_equals_numpys():
     design = np.stack([np.ones(60), TIME, TIME**2])
     data = [1.0, -2.0, 0.5] @ design + 0.1 * NOISE
     free = {"c": Parameter(shape=(3,), linear=True)}
@@ -76,7 +76,7 @@ def test_of_linear_numbers_alone_the_fit_is_that_of_numpy():
 
 @pytest.mark.slow
 def test_a_frequency_needs_neither_start_nor_amplitudes():
-    """Of 0.2 to 40 Hz, the cost has some hundred valleys."""
+    """Between 0.2 and 40 Hz the cost has some hundred minima."""
 
     def wave(sine, cosine, base, frequency):
         phase = 2 * jnp.pi * frequency * TIME
@@ -95,7 +95,7 @@ def test_a_frequency_needs_neither_start_nor_amplitudes():
 
 @pytest.mark.parametrize("signed", [(True,) * 3, (True, False, True), (False,) * 3, (True,) * 12])
 @pytest.mark.sweep
-def test_amplitudes_are_those_of_scipy(signed):
+def test_amplitudes_equal_scipys(signed):
     rng = np.random.default_rng(len(signed) + sum(signed))
     lower = np.where(signed, 0, -np.inf)
     for _ in range(20):
@@ -106,8 +106,9 @@ def test_amplitudes_are_those_of_scipy(signed):
 
 
 @pytest.mark.slow
-def test_errors_that_groups_share_widen_it_alike():
-    """The sandwich of a line through groups that share an offset, by the full search."""
+def test_shared_errors_of_groups_widen_it_equally():
+    """The sandwich covariance of a line through groups with a common offset equals the full
+    search's."""
     groups = np.repeat(np.arange(12), 5)
     data = 1 + 2 * TIME + 0.1 * NOISE + 0.2 * np.random.default_rng(3).standard_normal(12)[groups]
 
@@ -123,7 +124,7 @@ def test_errors_that_groups_share_widen_it_alike():
 
 
 @pytest.mark.slow
-def test_every_pixel_of_a_map_is_found_without_a_start():
+def test_every_pixel_of_a_map_is_fitted_without_a_start():
     def pixel(a, b, rate):
         return a + b * jnp.exp(-rate * TIME)
 
@@ -139,7 +140,7 @@ def test_every_pixel_of_a_map_is_found_without_a_start():
     assert np.max(np.abs(found - truth) / sd) < 4
 
 
-def test_what_is_not_linear_is_refused():
+def test_nonlinear_parameters_are_refused():
     linear = Parameter(linear=True)
     squared = Problem({"a": linear}, lambda a: a**2 * TIME, Gaussian(sd=0.1), np.ones(60))
     with pytest.raises(InputError, match="predict is not linear in a"):
@@ -157,7 +158,7 @@ def test_other_bounds_of_a_linear_parameter_are_refused(how):
         Parameter(linear=True, **how)
 
 
-def test_under_a_likelihood_of_unknown_width_it_is_searched_as_all_others():
+def test_with_an_unknown_noise_it_is_searched_like_others():
     free = {"a": Parameter(linear=True), "sd": Parameter(lower=0.01, upper=1)}
     problem = Problem(free, lambda a: a * TIME, Gaussian(sd="sd"), 2 * TIME + 0.1 * NOISE)
     with pytest.raises(InputError, match="Nothing says where to search for a"):

@@ -1,4 +1,5 @@
-"""Lights whose neighbours err alike: against simulated means with errors smooth over directions."""
+"""Tests intervals if neighbouring lights have similar errors, against simulated means with errors
+that are smooth over directions."""
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ LIGHTS, PIXELS = 32, 20
 
 
 def mean_of_images(rng, reach):
-    """(miss of the mean, scores, information, light, places)."""
+    """Return (error of the mean, scores, information, light, positions)."""
     places = rng.uniform(-1, 1, (LIGHTS, 2))
     apart = ((places[:, None] - places) ** 2).sum(-1)
     shared = np.exp(-apart / (2 * reach**2)) if reach else np.eye(LIGHTS)
@@ -40,14 +41,14 @@ def held(place):
 
 
 @pytest.mark.slow
-def test_intervals_hold_more_often_where_neighbours_err_alike():
-    """An error that is smooth over a tenth of the places."""
+def test_intervals_cover_more_often_with_merged_neighbours():
+    """The errors are smooth over a tenth of the positions."""
     assert held(places_of_zero(0.2, merged=False)) < 0.8
     assert held(places_of_zero(0.2, merged=True)) > 0.82
 
 
-def test_independent_lights_stay_apart():
-    """At 1 %, 1 of 100 on average and 5 or more once in 270."""
+def test_independent_lights_are_not_merged():
+    """At 1 %, 1 of 100 is merged on average, and 5 or more in one of 270 runs."""
     merged = 0
     for seed in range(100):
         _, scores, _, light, places = mean_of_images(np.random.default_rng(seed), 0.0)
@@ -56,7 +57,7 @@ def test_independent_lights_stay_apart():
 
 
 @pytest.mark.parametrize("count", [15, 16, 37])
-def test_regions_are_eight_of_like_size_that_lie_together(count):
+def test_regions_are_eight_compact_groups_of_similar_size(count):
     rng = np.random.default_rng(1)
     places = rng.uniform(-1, 1, (count, 2))
     scores = np.stack([places[:, 0] + places[:, 1], places[:, 0] - places[:, 1]])

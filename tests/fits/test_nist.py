@@ -1,9 +1,9 @@
-"""Published regressions with certified answers: NIST's Statistical Reference Datasets (nonlinear
-regression, https://www.itl.nist.gov/div898/strd/), those of higher difficulty and one of average,
-from the harder start where a search without bounds reaches the optimum from there.
+"""Tests published regressions with certified results: NIST's Statistical Reference Datasets for
+nonlinear regression (https://www.itl.nist.gov/div898/strd/).
 
-The certified digits are eleven; the residual standard deviation is taken for known, so that the
-covariance of the fit is NIST's."""
+The sets are those of higher difficulty and one of average, from the harder start if a search
+without bounds reaches the optimum from there. The certified results have eleven digits. The
+residual standard deviation is taken as known, so that the covariance of the fit is NIST's."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -134,7 +134,7 @@ SETS = {
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", SETS)
-def test_certified_estimates_and_standard_errors_return(name):
+def test_certified_estimates_and_standard_errors_are_reproduced(name):
     regression = SETS[name]
     count, free = len(regression.y), len(regression.certified)
     names = [f"b{i + 1}" for i in range(free)]
@@ -148,7 +148,7 @@ def test_certified_estimates_and_standard_errors_return(name):
     result = fit(problem, starts=1)
     found = np.array([result.values[each] for each in names])
     assert result.converged
-    # To 1e-6 of a standard error, and the standard errors to six digits.
+    # Estimates agree within 1e-6 of a standard error, and standard errors to six digits.
     np.testing.assert_array_less(
         np.abs(found - regression.certified), 1e-6 * np.array(regression.sd)
     )

@@ -1,5 +1,5 @@
-"""NUTS against a Gaussian in closed form, and against emcee on a banana; chains that go on, what
-they lack, and the optional dependency."""
+"""Tests NUTS against a Gaussian in closed form and against emcee on a banana-shaped density, the
+continuation of chains, and the optional dependency."""
 
 import sys
 from dataclasses import replace
@@ -26,7 +26,8 @@ SPACE = (
 
 
 def twisted(vector, args):
-    """A Gaussian whose second coordinate is bent along the first by twist (x0^2 - 1): a banana."""
+    """Return the log density of a Gaussian whose second coordinate is bent by twist (x0^2 - 1): a
+    banana."""
     precision, twist = args
     bent = vector.at[1].add(-twist * (vector[0] ** 2 - 1))
     return -bent @ precision @ bent / 2
@@ -52,8 +53,8 @@ def unconstrained(posterior):
     return vectors
 
 
-def test_nuts_finds_the_gaussian(drawn):
-    """Means, variances and the lognormal's interval within five standard errors of their own."""
+def test_nuts_samples_the_gaussian(drawn):
+    """Means, variances and the lognormal's interval are within five of their standard errors."""
     assert (drawn.method, drawn.draws.shape) == ("NUTS", (4, 1000, 3))
     worth = drawn.samples.shape[0] / drawn.tau.max()
     vectors = unconstrained(drawn)
@@ -73,14 +74,15 @@ def test_nuts_finds_the_gaussian(drawn):
 
 @pytest.mark.parametrize(("divergences", "trusted"), [(4, True), (5, False)])
 def test_trajectories_that_diverge_are_not_trusted(drawn, divergences, trusted):
-    """Beyond one in a thousand, of 4000."""
+    """More than one divergence in a thousand, of 4000 draws, is too many."""
     told = replace(drawn, divergences=divergences)
     assert is_trusted(told) == trusted
     assert ("a higher acceptance=" in convergence_in_words(told)) != trusted
 
 
 def assert_same_quantiles(a, b, worth):
-    """Of the columns of two samples worth so many independent draws, to five standard errors."""
+    """Check that the columns of two samples have equal quantiles within five standard errors, given
+    their numbers of independent draws."""
     error = 5 * np.sqrt(sum(1 / n for n in worth))
     for share in (0.16, 0.5, 0.84):
         within = np.mean(a < np.quantile(b, share, axis=0), axis=0)
@@ -95,8 +97,8 @@ def banana():
     return run(TWIST, draws=1000, seed=3)
 
 
-def test_nuts_finds_a_banana(banana):
-    """Against a Gaussian sample, bent."""
+def test_nuts_samples_a_banana(banana):
+    """The reference is a Gaussian sample, bent."""
     exact = np.random.default_rng(0).multivariate_normal(np.zeros(3), COVARIANCE, 100_000)
     exact[:, 1] += TWIST * (exact[:, 0] ** 2 - 1)
     worth = banana.samples.shape[0] / banana.tau.max()
@@ -104,12 +106,12 @@ def test_nuts_finds_a_banana(banana):
 
 
 @pytest.mark.slow
-def test_the_step_adapts_to_the_acceptance_that_is_asked_for():
+def test_the_step_adapts_to_the_requested_acceptance():
     assert 0.9 < run(TWIST, draws=300, seed=3, acceptance=0.95).acceptance < 0.99
 
 
-def test_chains_that_go_on_are_those_that_never_stopped(drawn, tmp_path):
-    """In memory and from a checkpoint, whatever the size of the blocks."""
+def test_continued_chains_equal_uninterrupted_ones(drawn, tmp_path):
+    """This holds in memory and from a checkpoint, for any size of blocks."""
     short = run(0.0, draws=30, seed=1)
     assert "more draws of each chain are missing" in convergence_in_words(short)
     assert short.missing_steps > 0
@@ -131,7 +133,7 @@ def half_line(vector, rate):
 
 
 @pytest.mark.slow
-def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
+def test_nan_counts_as_impossible_and_starts_avoid_it():
     space = SPACE[:1]
     options = Nuts(draws=500)
     posterior = nuts(half_line, space, jnp.ones(1), np.eye(1), jnp.asarray(1.0), options=options)
@@ -141,7 +143,7 @@ def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
         nuts(half_line, space, -jnp.ones(1), 1e-6 * np.eye(1), jnp.asarray(1.0))
 
 
-def test_what_cannot_be_run_is_said(monkeypatch):
+def test_invalid_options_of_nuts_are_refused(monkeypatch):
     with pytest.raises(InputError, match="draws = 3: give a whole number of at least 10"):
         run(0.0, draws=3)
     with pytest.raises(InputError, match=r"acceptance = 1\.0: use a number between 0 and 1"):

@@ -1,4 +1,5 @@
-"""Natural and unconstrained vectors: inverse of each other, bounds kept, priors as written."""
+"""Tests natural and unconstrained vectors: they are inverse to each other, bounds hold, and priors
+are those stated."""
 
 import jax
 import jax.numpy as jnp
@@ -53,8 +54,8 @@ def test_no_vector_leaves_the_bounds():
 
 
 @pytest.mark.slow
-def test_slopes_in_numpy_are_jaxs():
-    """Of natural values, and of the density that is flat where a number is at home."""
+def test_derivatives_in_numpy_equal_jaxs():
+    """Checked are natural values, and the density that is flat in the natural value."""
     places = np.linspace(-3, 3, 16).reshape(2, 8)
     for u, slope, bend, first, second in zip(
         places, *natural_slopes(SPACE, places), *log_flat_slopes(SPACE, places), strict=True
@@ -114,7 +115,7 @@ def test_priors_against_scipy(prior, reference):
     ],
 )
 def test_the_density_of_the_vector_is_the_prior_with_its_jacobian(parameter, truth):
-    """By quadrature in u: probabilities of the natural value, whatever the transform."""
+    """By quadrature in u, probabilities of the natural value are right for every transform."""
     u = np.linspace(-60, 60, 400_001)[:, None]
     logs = np.asarray(jax.jit(lambda u: log_prior((parameter,), u))(u))
     weight = np.exp(logs - logs.max())
@@ -132,7 +133,7 @@ def test_a_parameter_that_is_flat_is_not_traced():
     assert "sub" not in text
 
 
-def test_an_array_parameter_is_its_numbers():
+def test_an_array_parameter_equals_its_numbers():
     position = Parameter("lamp.position", unit="m", lower=(-1.0, -2.0, 0.0), upper=5.0)
     numbers = scalars(position, (3,))
     assert names(numbers) == ("lamp.position[0]", "lamp.position[1]", "lamp.position[2]")
@@ -172,7 +173,7 @@ def test_contradictory_parameters_are_refused(options, expected):
         ((-np.inf, np.inf), Gamma(2.0, 3.0), stats.gamma(2.0, scale=3.0)),
     ],
 )
-def test_a_prior_within_bounds_is_spread_as_it_lies_there(bounds, prior, law):
+def test_a_prior_within_bounds_is_truncated(bounds, prior, law):
     found = prior_values(Parameter("x", lower=bounds[0], upper=bounds[1], prior=prior))
     assert found is not None
     np.testing.assert_allclose(found, law.ppf((np.arange(400) + 0.5) / 400), rtol=1e-5)

@@ -1,4 +1,5 @@
-"""What to measure next and where an interval comes from: closed forms, and simulated refits."""
+"""Tests the choice of the next measurement and the budget of an interval's uncertainty against
+closed forms and simulated refits."""
 
 import equinox as eqx
 import jax
@@ -37,15 +38,15 @@ def fitted():
 
 
 def estimator():
-    """Weights of data and prior mean in the three estimates, by NumPy: A (3, 31)."""
+    """Return the weights of data and prior mean in the three estimates, (3, 31), by NumPy."""
     rows = np.concatenate([np.stack([np.ones(30), PLACE, PLACE**2], 1), [[0, 0, 1]]])
     weight = np.concatenate([np.full(30, SD**-2), [OFFSET_SD**-2]])
     return np.linalg.solve(rows.T @ (weight[:, None] * rows), rows.T * weight)
 
 
 @pytest.mark.slow
-def test_the_budget_of_a_line_is_the_propagation_of_each_source(fitted):
-    """Var = A Sigma A^T, source by source; a target of one's own with it."""
+def test_the_budget_of_a_line_propagates_each_source(fitted):
+    """By Var = A Sigma A^T for each source, for a parameter and for a function of parameters."""
     weights = estimator()
     targets = (("base", weights[0]), (lambda base, slope: base + slope, weights[:2].sum(0)))
     for target, row in targets:
@@ -68,8 +69,8 @@ def test_the_budget_of_a_line_is_the_propagation_of_each_source(fitted):
 
 
 @pytest.mark.parametrize("target", ["slope", "base"])
-def test_the_plan_of_a_line_is_that_of_the_longer_line(fitted, target):
-    """Information of the data with one more row, inverted by NumPy."""
+def test_the_plan_of_a_line_equals_the_fit_of_a_longer_line(fitted, target):
+    """The reference inverts the information of the data with one more row by NumPy."""
     rows = np.stack([np.ones(30), PLACE, PLACE**2], 1)
     which = list(LINE).index(target)
     information = rows.T @ rows / 0.01 + np.diag([0, 0, OFFSET_SD**-2])
@@ -86,7 +87,7 @@ def test_the_plan_of_a_line_is_that_of_the_longer_line(fitted, target):
     assert found.best in str(found)
 
 
-def test_what_cannot_be_planned_is_refused(fitted):
+def test_invalid_plans_are_refused(fitted):
     for candidates, target, expected in (
         ({}, "base", "at least one candidate"),
         ({"a": PLACE}, "bas", "no free number; the nearest is 'base'"),
@@ -102,7 +103,8 @@ def test_what_cannot_be_planned_is_refused(fitted):
 
 
 def flat_patch(exposures):
-    """Codes of a matte patch, 255 (albedo light t)^(1 / gamma), about one mean per exposure."""
+    """Return the problem of a matte patch with codes 255 (albedo light t)^(1 / gamma), about one
+    mean per exposure."""
     return Problem(
         {
             "albedo": Parameter(prior=Normal(0.4, 0.2), lower=0.01, upper=1.0),
@@ -136,7 +138,8 @@ def decay(height, rate, inputs):
 
 
 def counted(likelihood, times, seed, *, off=()):
-    """A decay seen by a camera; sources of noise that are off are missing from the data alone."""
+    """Return the problem of a decay seen by a camera. Sources of noise that are `off` are missing
+    only in the data."""
     rng = np.random.default_rng([5, seed])
     light = 4000 * np.exp(-1.5 * times)
     electrons = light if "photons" in off else rng.poisson(light)
@@ -156,7 +159,8 @@ def counted(likelihood, times, seed, *, off=()):
 
 
 def scatter(times, *, off=(), count=400):
-    """Standard deviation of the rate over refits, with its own relative error 1 / sqrt(2 count)."""
+    """Return the standard deviation of the rate over refits, with a relative error of 1 / sqrt(2
+    count)."""
     rates = [
         fit(counted(SensorNoise(CAMERA), times, seed, off=off), starts=1).values["rate"]
         for seed in range(count)
@@ -165,7 +169,7 @@ def scatter(times, *, off=(), count=400):
 
 
 @pytest.mark.slow
-def test_the_budget_of_a_sensor_is_what_refits_without_a_source_lose():
+def test_the_budget_of_a_sensor_equals_refits_without_a_source():
     found = fit(counted(SensorNoise(CAMERA), TIMES, 0), starts=4).budget("rate")
     whole = scatter(TIMES) ** 2
     for source in ("photons", "read noise"):
@@ -176,7 +180,7 @@ def test_the_budget_of_a_sensor_is_what_refits_without_a_source_lose():
 
 
 @pytest.mark.slow
-def test_a_plan_foretells_the_scatter_of_refits():
+def test_a_plan_predicts_the_scatter_of_refits():
     more = np.concatenate([TIMES, np.full(6, 0.7)])
     planned = fit(counted(SensorNoise(CAMERA), TIMES, 0), starts=4).plan(
         {"six at 0.7": np.full(6, 0.7)}, "rate"
@@ -184,8 +188,9 @@ def test_a_plan_foretells_the_scatter_of_refits():
     np.testing.assert_allclose(planned.candidates[0].sd, scatter(more), rtol=0.1)
 
 
-def test_noise_that_is_inflated_is_the_models():
-    """A mean whose data scatter c times as much as stated: c^2 sd^2 / n, 1 / c^2 of it stated."""
+def test_inflated_noise_is_attributed_to_the_model():
+    """The data scatter c times as much as stated, so the variance is c^2 sd^2 / n, and the stated
+    noise has 1 / c^2 of it."""
     scatter = 0.3 * stats.norm.ppf((np.arange(60) + 0.5) / 60)
     mean = {"mean": Parameter(start=0.0)}
     problem = Problem(mean, lambda mean: mean * jnp.ones(60), Gaussian(SD), 2 + scatter)
@@ -197,8 +202,9 @@ def test_noise_that_is_inflated_is_the_models():
 
 
 @pytest.mark.slow
-def test_what_groups_share_and_what_is_inflated_are_the_models():
-    """Offsets of 40 groups, three times the noise: nearly all of the mean's variance is theirs."""
+def test_shared_errors_and_inflation_are_attributed_to_the_model():
+    """Offsets of 40 groups are three times the noise, so they cause nearly all of the mean's
+    variance."""
     labels = np.repeat(np.arange(40), 5)
     rng = np.random.default_rng(2)
     data = 0.3 * rng.standard_normal(40)[labels] + 0.1 * rng.standard_normal(200)
@@ -218,8 +224,8 @@ def test_what_groups_share_and_what_is_inflated_are_the_models():
 
 
 @pytest.mark.slow
-def test_information_that_is_no_closed_form_is_that_of_scipys_t():
-    """Fisher's information of a location under Student's t: (dof + 1) / (dof + 3) / scale^2."""
+def test_information_without_a_closed_form_is_that_of_students_t():
+    """Fisher's information of a location under Student's t is (dof + 1) / (dof + 3) / scale^2."""
     mean = Parameter(start=0.0)
     problem = Problem(
         {"a": mean},
@@ -237,8 +243,8 @@ def test_information_that_is_no_closed_form_is_that_of_scipys_t():
 
 ANGLES = np.tile(np.linspace(-1.2, 1.2, 15), 4)
 IMAGE = np.repeat(np.arange(4), 15)
-SEEN = ANGLES, IMAGE, 0.3 * (IMAGE - 1.5)  # rad, and which image
-SIZES = {"strength": 0.02, "tilt": 0.01}  # of lights and of geometry
+SEEN = ANGLES, IMAGE, 0.3 * (IMAGE - 1.5)  # rad, and the image's number
+SIZES = {"strength": 0.02, "tilt": 0.01}  # for lights and geometry
 SHINY = {
     "diffuse": Parameter(transform="log", start=800.0),
     "specular": Parameter(transform="log", start=1500.0),
@@ -256,7 +262,7 @@ def shiny(diffuse, specular, exponent, strength, tilt, inputs):
 
 
 def of_one_source(source, rng, count):
-    """Codes of `count` afternoons in which one source alone errs, DN."""
+    """Return the codes of `count` afternoons where only this source has errors, in DN."""
     truth = {name: np.full(p.shape or (), p.start) for name, p in SHINY.items()}
     codes = []
     for _ in range(count):
@@ -267,15 +273,15 @@ def of_one_source(source, rng, count):
         electrons = rng.poisson(light) if source == "photons" else light
         read = 20.0 * rng.standard_normal(light.shape) if source == "read noise" else 0.0
         signal = 0.05 * (electrons + read) + 10.0
-        phase = rng.uniform(-0.5, 0.5, light.shape)  # of a signal within a code
+        phase = rng.uniform(-0.5, 0.5, light.shape)  # phase of a signal within a code
         codes.append(np.round(signal + phase) - phase if source == "rounding" else signal)
     return np.array(codes)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["exponent", "diffuse"])
-def test_each_source_leaves_what_refits_with_it_alone_scatter_by(target):
-    """Photons, read noise, rounding, lights and geometry."""
+def test_each_source_has_the_scatter_of_refits_with_it_alone(target):
+    """The sources are photons, read noise, rounding, lights and geometry."""
     rng = np.random.default_rng(11)
     nominal = np.asarray(shiny(800.0, 1500.0, 12.0, np.ones(4), np.zeros(4), inputs=SEEN))
     problem = Problem(*(SHINY, shiny, SensorNoise(CAMERA), 0.05 * nominal + 10), inputs=SEEN)

@@ -1,5 +1,5 @@
-"""Laplace and emcee against a Gaussian known in closed form and a skewed one by quadrature;
-short chains; kill, resume and go on."""
+"""Tests Laplace's approximation and emcee against a Gaussian in closed form and a skewed density by
+quadrature, short chains, and continuation after a kill."""
 
 import subprocess
 import sys
@@ -40,7 +40,7 @@ def heavy_tailed(vector, precision):
 
 
 def one_sided(vector, precision):
-    """Of a number of which only a lower bound is known."""
+    """Return the log density of a number with only a lower bound."""
     return -precision @ jnp.square(jnp.minimum(vector, 0)) / 2
 
 
@@ -63,7 +63,7 @@ def test_laplace_draws_have_the_covariance_they_claim():
     posterior = laplace(gaussian, SPACE, ORIGIN, PRECISION, draws=40_000, seed=1)
     vectors = posterior.samples.copy()
     vectors[:, 1] = np.log(vectors[:, 1])
-    # 5 standard errors of a covariance from 40 000 draws with variances up to 2.
+    # 5 standard errors of a covariance from 40 000 draws with variances up to 2
     np.testing.assert_allclose(np.cov(vectors.T), COVARIANCE, atol=5 * 2.8 / 200)
     one, other = (laplace(gaussian, SPACE, ORIGIN, PRECISION, seed=seed) for seed in (0, 1))
     assert (one.draws != other.draws).all()
@@ -74,7 +74,7 @@ def test_a_given_covariance_replaces():
     np.testing.assert_array_equal(given.covariance, np.eye(3))
 
 
-def test_laplace_refuses_an_open_direction_in_words():
+def test_laplace_refuses_an_unidentifiable_direction_in_words():
     with pytest.raises(InputError, match="say nothing about gain and dark"):
         laplace(flat, SPACE, ORIGIN, jnp.asarray(-1.0))
 
@@ -87,7 +87,7 @@ def chain_of(options, *, density=gaussian, precision=PRECISION, seed=SEED, after
 
 @pytest.fixture(scope="module")
 def sampled():
-    """One chain that runs through, and the same one killed after 300 steps and resumed."""
+    """Return a chain that was not interrupted."""
     return chain_of(Emcee(**SHORT, steps=20_000))
 
 
@@ -121,8 +121,8 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
             chain_of(Emcee(**SHORT, steps=100), after=begun, **other)
 
 
-def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
-    """A gap would go on from the last block, its own numbers left out."""
+def test_a_damaged_or_missing_block_is_named(tmp_path):
+    """Without the check, a chain would continue from the last block without the missing one."""
     block = {"chain": np.arange(3.0), "fingerprint": np.array("this run")}
     for number in range(3):
         blocks.store(tmp_path, number, block)
@@ -138,7 +138,7 @@ def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
         blocks.resume_blocks(tmp_path, (), "this run")
 
 
-def test_a_short_chain_is_kept_and_says_what_it_lacks():
+def test_a_short_chain_is_kept_and_says_how_many_steps_are_missing():
     def run(steps, block, **more):
         return chain_of(Emcee(walkers=32, block=block, steps=steps), seed=2, **more)
 
@@ -154,7 +154,7 @@ def test_a_short_chain_is_kept_and_says_what_it_lacks():
     assert "missing" not in convergence_in_words(whole)
 
 
-def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
+def test_a_hopeless_chain_is_stopped_at_a_quarter():
     for gives_up, steps in ((True, 20), (False, 80)):
         options = Emcee(walkers=32, block=20, steps=80, gives_up=gives_up)
         given_up = chain_of(options)
@@ -164,8 +164,8 @@ def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kept", ["memory", "checkpoint"])
-def test_a_chain_that_goes_on_is_one_that_never_stopped(tmp_path, sampled, kept):
-    """Also where it stopped within a block: 150 is no multiple of 100."""
+def test_a_continued_chain_equals_an_uninterrupted_one(tmp_path, sampled, kept):
+    """The chain stopped within a block: 150 is not a multiple of 100."""
     folder = tmp_path if kept == "checkpoint" else None
     short = chain_of(Emcee(**SHORT, steps=150, checkpoint=folder))
     assert short.missing_steps
@@ -183,7 +183,7 @@ def test_a_chain_in_memory_fills_a_checkpoint(tmp_path):
 
 @pytest.mark.slow
 def test_a_density_has_one_fingerprint_in_every_process(capsys):
-    """Its formula and its constants count; addresses and the order of sets do not."""
+    """It depends on the formula and its constants, but not on addresses and the order of sets."""
     program = (
         "import jax, jax.numpy as jnp, numpy as np\n"
         "from fitting.inference.blocks import fingerprint\n"
@@ -202,7 +202,8 @@ def test_a_density_has_one_fingerprint_in_every_process(capsys):
 @pytest.mark.sweep
 @pytest.mark.parametrize("parameters", [40, 11])
 def test_walkers_and_moves_suit_the_dimension(parameters):
-    """Independent standard normals; 40 of them where 64 walkers do not span the space."""
+    """The density is of independent standard normal numbers. With 40 of them, 64 walkers do not
+    span the space."""
     space = tuple(Parameter(f"x{i}", symbol="x", unit="1") for i in range(parameters))
     chain = sample(
         gaussian,
@@ -217,8 +218,8 @@ def test_walkers_and_moves_suit_the_dimension(parameters):
 
 
 @pytest.mark.slow
-def test_many_walkers_take_time_in_proportion(monkeypatch):
-    """The density that proposes their moves is estimated from some of them, not from all."""
+def test_the_time_of_many_walkers_is_proportional(monkeypatch):
+    """The density that proposes moves is estimated from some of the walkers, not from all."""
     seen = []
 
     def recorded(points, **kinds):
@@ -276,7 +277,7 @@ def test_each_group_has_a_checkpoint_of_its_own():
     assert group_options(None, "red") is None
 
 
-def test_a_posterior_without_end_is_a_sentence():
+def test_an_improper_posterior_is_a_sentence():
     space, precision = (Parameter("share"), Parameter("other")), jnp.asarray([1.0, 1.0])
     with pytest.raises(InputError, match=r"do not bound (share|other) on both sides"):
         sample(one_sided, space, jnp.zeros(2), np.eye(2), precision, seed=SEED)
@@ -285,7 +286,7 @@ def test_a_posterior_without_end_is_a_sentence():
     assert "on one side only" in convergence_in_words(found)
 
 
-def test_what_is_open_over_the_range_of_numbers_has_no_value():
+def test_numbers_unidentified_over_their_range_have_no_value():
     gain = Parameter("gain", symbol="K", unit="DN/e-")
     for value, error in ((1e-10, 1e-4), (np.inf, 1.0), (1.0, np.nan)):
         found = gaussian_estimate(gain, value, error, log_scale=True)
@@ -293,8 +294,8 @@ def test_what_is_open_over_the_range_of_numbers_has_no_value():
         assert "exceeds all floating-point numbers" in found.reason
 
 
-def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():
-    """emcee would subtract infinities; half of the walkers start below zero."""
+def test_walkers_that_start_at_zero_density_cause_no_warning():
+    """emcee would subtract infinities, because half of the walkers start below zero."""
     options = Emcee(walkers=16, steps=60, block=30)
     space = (Parameter("a"),)
     drawn = sample(
@@ -305,8 +306,8 @@ def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():
     assert (drawn.samples > 0).all()
 
 
-def test_walkers_in_a_plane_move_by_their_differences():
-    """A density of them, which has none there, is not asked: SciPy would warn."""
+def test_walkers_in_a_plane_use_differential_moves():
+    """A density estimate of walkers in a plane does not exist, and SciPy would warn."""
     options = Emcee(walkers=16, steps=20, block=10)
     line = np.full((3, 3), 1.0) + 1e-15 * np.eye(3)
     found = sample(gaussian, SPACE, ORIGIN, line, PRECISION, options=options, seed=SEED)

@@ -1,4 +1,4 @@
-"""Priors that the data contradict, and posteriors that pile up at a bound."""
+"""Tests priors that the data contradict, and posteriors that accumulate at a bound."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from fitting import Gaussian, HalfNormal, LogNormal, Normal, Parameter, Problem, fit
 
-NOISE = np.array([-1.5, -0.4, 0.2, 0.7, 1.0])  # of mean 0
+NOISE = np.array([-1.5, -0.4, 0.2, 0.7, 1.0])  # with mean 0
 
 
 def level(data, sd=0.1, **stated):
@@ -18,7 +18,7 @@ def said(found):
     return [one for one in (*found.failures, *found.findings) if "The prior of" in one]
 
 
-def test_a_prior_is_compared_with_what_the_data_alone_say():
+def test_a_prior_is_compared_with_the_likelihood():
     """(1.3 - 1) / sqrt(.05^2 + .1^2 / 5) = 4.47 standard deviations."""
     problem = level(1.3 + 0.05 * NOISE, prior=Normal(1.0, 0.05))
     found = fit(problem, starts=2)
@@ -28,7 +28,7 @@ def test_a_prior_is_compared_with_what_the_data_alone_say():
     assert "(1.300 ± 0.045)" in told
     near = fit(problem.with_data(1.2 + 0.05 * NOISE), starts=2)  # 2.98
     assert not said(near)
-    # Far off, the misfit is the prior's and not the model's.
+    # Far away, the misfit is attributed to the prior and not to the model.
     far = fit(problem.with_data(5.0 + 0.05 * NOISE), starts=2)
     assert not far.converged
     assert far.failures[0].startswith("The prior of m, 1 ± 0.05, lies 59.6 standard")
@@ -37,7 +37,7 @@ def test_a_prior_is_compared_with_what_the_data_alone_say():
 
 
 @pytest.mark.slow
-def test_a_width_that_grows_to_explain_a_prior_is_no_misfit_because_of_it():
+def test_a_noise_that_grows_to_explain_a_prior_is_not_reported_as_misfit():
     time = np.linspace(0.0, 4.0, 40)
     data = 2 * time + 1 + 0.1 * np.random.default_rng(0).standard_normal(40)
     free = {
@@ -72,8 +72,8 @@ def test_other_priors_are_compared_on_their_own_scale(prior, value, z):
     np.testing.assert_allclose(at, z, rtol=0.04)
 
 
-def test_an_interval_begins_at_the_bound_where_the_posterior_piles_up():
-    """Half of a Gaussian: 95 and 68 % lie within 1.960 and 0.994 standard deviations."""
+def test_an_interval_starts_at_the_bound_where_the_posterior_accumulates():
+    """For half a Gaussian, 95 and 68 % are within 1.960 and 0.994 standard deviations."""
     data = 1.0 + 0.05 * NOISE
     found = fit(level(data, 0.05, lower=0, upper=1), starts=2)
     error = 0.05 / 5**0.5
@@ -103,8 +103,8 @@ def test_intervals_cover_a_truth_at_or_near_a_bound(truth):
 
 
 @pytest.mark.slow
-def test_priors_from_which_the_truth_is_drawn_raise_no_alarm():
-    """One in 1,000 by chance; 5 or more of 1,000 happen once in 270 times."""
+def test_priors_that_are_true_are_not_flagged():
+    """One in 1,000 is flagged by chance, and 5 or more of 1,000 in one of 270 runs."""
     problem, alarms = level(np.zeros(5), prior=Normal(1.0, 0.05)), 0
     for seed in range(1000):
         rng = np.random.default_rng(seed)

@@ -1,5 +1,5 @@
-"""Problems of one's own: fits against scipy, closed forms and grids; paths, ties, bounds, verdicts;
-a second fit compiles nothing."""
+"""Tests users' own problems: fits against SciPy, closed forms and grids, paths, ties, bounds and
+reports, and that a second fit compiles nothing."""
 
 import math
 
@@ -52,7 +52,7 @@ def test_least_squares_against_scipy(fitted):
     assert fitted.converged
     assert not fitted.failures
     for estimate, value, error in zip(fitted.estimates, best, sd, strict=True):
-        # The mode is that of the unconstrained value: a small part of an error away.
+        # The mode is for the unconstrained value, which differs by a small part of the error.
         assert abs(estimate.value - value) < 0.05 * error
         np.testing.assert_allclose(estimate.standard_error, error, rtol=0.02)
     assert [e.unit for e in fitted.estimates] == ["V", "s^-1"]
@@ -70,7 +70,7 @@ ENSEMBLE = {"posterior": Emcee(walkers=8, block=50)}
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, ENSEMBLE], ids=["laplace", "emcee"])
 def test_a_second_fit_of_equal_shapes_compiles_nothing(options):
-    """Nor where an ensemble ends after another number of steps."""
+    """This also holds if an ensemble needs another number of steps."""
     compiled = []
 
     def listen(name, seconds, **_):
@@ -91,7 +91,7 @@ def test_a_second_fit_of_equal_shapes_compiles_nothing(options):
 
 
 def test_the_posterior_of_a_line_with_priors_is_the_closed_form():
-    """Gaussian data, Gaussian priors: precision A^T A / sd^2 + 1 / prior sd^2, exactly."""
+    """For Gaussian data and priors the precision is exactly A^T A / sd^2 + 1 / prior sd^2."""
     design = np.stack([np.ones(20), np.linspace(-1, 1, 20)], axis=-1)
     data = design @ [0.5, 2.0] + 0.3 * RNG.standard_normal(20)
     result = fit(
@@ -111,7 +111,7 @@ def test_the_posterior_of_a_line_with_priors_is_the_closed_form():
     total = result.derived(lambda line: line.sum())
     sd = math.sqrt(np.linalg.inv(precision).sum())
     np.testing.assert_allclose([total.mean, total.sd], [mean.sum(), sd], rtol=0.1)
-    # A new datum scatters by the noise and by what is not known of the line.
+    # A new datum scatters by the noise and by the uncertainty of the line.
     at = jnp.array([[1.0, 3.0]])
     bands = result.predictive(at, draws=4000)
     row = np.asarray(at[0])
@@ -122,7 +122,8 @@ def test_the_posterior_of_a_line_with_priors_is_the_closed_form():
 
 @pytest.mark.slow
 def test_a_bounded_parameter_against_its_posterior_on_a_grid():
-    """A proportion near its end: the mode in u, and probabilities by quadrature over x."""
+    """For a proportion near its bound, the mode is in u, and probabilities are by quadrature over
+    x."""
     problem = Problem(
         {"share": Parameter(lower=0, upper=1)},
         lambda share: share * jnp.ones(4),
@@ -132,7 +133,7 @@ def test_a_bounded_parameter_against_its_posterior_on_a_grid():
     x = np.linspace(0, 1, 20_001)[1:-1]
     likelihood = stats.norm.logpdf(problem.data, x[:, None], 0.1).sum(1)
     u = np.log(x) - np.log1p(-x)
-    theirs = likelihood + np.log(x) + np.log1p(-x)  # flat in x, a density of u
+    theirs = likelihood + np.log(x) + np.log1p(-x)  # flat in x, as a density of u
     ours = jax.vmap(lambda v: log_density(v, problem))(jnp.asarray(u[::500, None]))
     np.testing.assert_allclose(ours - ours[0], (theirs - theirs[0])[::500], rtol=1e-9, atol=1e-9)
     result = fit(problem)
@@ -180,7 +181,7 @@ def of_scene(name, predict=None, **options):
     )
 
 
-def test_a_path_replaces_a_leaf_and_nothing_else():
+def test_a_path_replaces_only_its_leaf():
     problem = of_scene("scene.lights[0].position", lower=-5, upper=5)
     assert problem.free[0].shape == (3,)
     starts = spread_starts(problem, 3, seed=0)
@@ -213,7 +214,7 @@ def test_a_path_replaces_a_leaf_and_nothing_else():
         ("scene.lights[0]position", "is no path"),
     ],
 )
-def test_a_wrong_path_is_told_what_is_there(name, expected):
+def test_a_wrong_path_gets_a_list_of_valid_ones(name, expected):
     with pytest.raises(InputError, match=expected):
         of_scene(name)
 
@@ -252,7 +253,7 @@ def test_a_wrong_path_is_told_what_is_there(name, expected):
         ),
     ],
 )
-def test_a_problem_that_cannot_be_is_refused(change, expected):
+def test_an_impossible_problem_is_refused(change, expected):
     predict = (lambda b, r: b * r["a"]) if "records" in change else (lambda a: a * jnp.ones(3))
     whole = {
         "parameters": {"a": Parameter()},
@@ -264,7 +265,7 @@ def test_a_problem_that_cannot_be_is_refused(change, expected):
         Problem(**(whole | change))
 
 
-def test_a_function_may_take_all_by_name():
+def test_a_function_may_take_all_parameters_by_name():
     problem = Problem(
         {"b": Parameter(start=1.0), "r['a']": Parameter(), "c": 2.0},
         lambda b, r: b + r["a"],
@@ -277,7 +278,7 @@ def test_a_function_may_take_all_by_name():
     assert give(problem, lambda b, **given: sorted(given), values, None)[0] == "c"
 
 
-def test_a_fit_that_cannot_begin_says_why():
+def test_a_fit_that_cannot_start_gives_the_reason():
     problem = Problem({"a": Parameter()}, lambda a: a * jnp.ones(3), Gaussian(sd=1.0), np.zeros(3))
     with pytest.raises(InputError, match="Nothing says where to search for a"):
         fit(problem)
@@ -290,7 +291,7 @@ def test_a_fit_that_cannot_begin_says_why():
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, None, True, 2**32])
-def test_a_seed_that_is_none_is_refused(seed):
+def test_an_invalid_seed_is_refused(seed):
     with pytest.raises(InputError, match="give a whole number from 0 to 4294967295"):
         fit(decay_problem(), seed=seed)
 
@@ -307,12 +308,12 @@ def test_a_seed_that_is_none_is_refused(seed):
         (lambda *v: v[0], 9, r"takes \*v: .* take all by name"),
     ],
 )
-def test_what_cannot_be_derived_is_refused(fitted, function, draws, expected):
+def test_functions_without_derivatives_are_refused(fitted, function, draws, expected):
     with pytest.raises(InputError, match=expected):
         fitted.derived(function, draws=draws)
 
 
-def test_a_record_s_value_begins_the_search_inside_the_bounds():
+def test_a_records_value_starts_the_search_inside_the_bounds():
     parameters = {"r['a']": Parameter(lower=2.0, upper=3.0), "r['b']": 2.0}
     records = {"r": {"a": np.array([0.0, 2.5, np.inf]), "b": np.zeros(3)}}
     seen = Problem(
@@ -324,7 +325,7 @@ def test_a_record_s_value_begins_the_search_inside_the_bounds():
 
 
 @pytest.mark.slow
-def test_two_answers_that_fit_as_well_are_told():
+def test_two_optima_that_fit_equally_well_are_reported():
     problem = Problem(
         {"a": Parameter(lower=-3, upper=3)},
         lambda a: a**2 * jnp.ones(50),
@@ -337,7 +338,7 @@ def test_two_answers_that_fit_as_well_are_told():
 
 
 @pytest.mark.slow
-def test_what_only_the_prior_tells_is_told():
+def test_parameters_determined_only_by_their_prior_are_reported():
     problem = Problem(
         {"seen": Parameter(start=0.0), "unseen": Parameter(unit="DN", prior=Normal(5.0, 0.5))},
         lambda seen, unseen: seen + 0.01 * unseen * jnp.linspace(0, 1, 9),
@@ -348,8 +349,9 @@ def test_what_only_the_prior_tells_is_told():
     assert any("unseen is known from its prior" in sentence for sentence in result.findings)
 
 
-def test_a_misfit_can_be_allowed_for(fitted):
-    """Noise twice as large as stated: the intervals double, and the fit counts."""
+def test_a_misfit_can_be_inflated(fitted):
+    """The noise is twice the stated one, so the intervals double, and the fit counts as
+    converged."""
     loud = HEIGHT * np.exp(-RATE * TIME) + 0.05 * np.random.default_rng(8).standard_normal(60)
     assert not fit(decay_problem(loud)).converged
     allowed = fit(decay_problem(loud), misfit="inflate")
@@ -375,7 +377,7 @@ def test_arviz_and_the_report(fitted, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_file_of_draws_holds_what_arviz_is_given(tmp_path):
+def test_the_file_of_draws_equals_the_arviz_data(tmp_path):
     arviz = pytest.importorskip("arviz")
     found = fit(
         Problem(
@@ -393,7 +395,7 @@ def test_the_file_of_draws_holds_what_arviz_is_given(tmp_path):
 
 
 def coverage(count):
-    """How often the 68 and 95 % intervals of both parameters hold the truth."""
+    """Return how often the 68 and 95 % intervals of both parameters cover the true values."""
     inside = np.zeros((2, 2))
     template = decay_problem()
     for i in range(count):
@@ -406,7 +408,7 @@ def coverage(count):
 
 
 @pytest.mark.parametrize("count", [40, pytest.param(1000, marks=pytest.mark.slow)])
-def test_intervals_hold_the_truth_as_often_as_they_say(fitted, count):
+def test_intervals_cover_the_true_values(fitted, count):
     for row in coverage(count):
         for found, level in zip(row, (0.68, 0.95), strict=True):
             low, high = stats.binom.interval(0.999, count, level)
@@ -415,8 +417,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fitted, count):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below", [1.0, 3.0])
-def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below):
-    """A positive number whose data lie below 0: the exact posterior is a truncated normal."""
+def test_intervals_at_an_active_bound_are_not_those_of_a_flat_direction(below):
+    """The data of a positive number are below 0, so the exact posterior is a truncated normal."""
     error, count = 0.02, 25
     spread = np.random.default_rng(0).standard_normal(count)
     data = -below * error + error * np.sqrt(count) * (spread - spread.mean())
@@ -427,7 +429,7 @@ def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below
         data,
     )
     exact = scipy.stats.truncnorm(a=below, b=np.inf, loc=-below * error, scale=error).ppf(0.95)
-    lower, upper = fit(problem).estimates[0].interval_95  # begins at the bound
+    lower, upper = fit(problem).estimates[0].interval_95  # starts at the bound
     assert lower == 0
     np.testing.assert_allclose(upper, exact, rtol=0.03)
 
@@ -461,8 +463,8 @@ def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
 
 
 @pytest.mark.slow
-def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
-    """Normal prior 1 +- .001 beside data that scatter three times as stated."""
+def test_a_misfit_inflates_the_likelihood_and_not_the_prior():
+    """The prior is N(1, .001), and the data scatter three times as much as stated."""
     noise = np.random.default_rng(4).standard_normal(50)
     problem = Problem(
         {"a": Parameter(prior=Normal(1.0, 0.001))},
@@ -475,7 +477,7 @@ def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
 
 
 @pytest.mark.parametrize("scatter", [1.01, 1.05])
-def test_a_widening_below_2_percent_is_not_said(scatter):
+def test_an_inflation_below_2_percent_is_not_reported(scatter):
     noise = np.random.default_rng(4).standard_normal(50)
     noise = scatter * (noise - noise.mean()) / noise.std(ddof=1)
     problem = Problem(

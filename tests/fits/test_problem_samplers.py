@@ -1,4 +1,5 @@
-"""Samplers of a problem against its posterior on a grid; what cannot be run is said at once."""
+"""Tests samplers of a problem against its posterior on a grid, and that invalid options are refused
+at once."""
 
 import re
 import sys
@@ -22,7 +23,8 @@ def decay(height, rate, inputs):
 
 
 def problem():
-    """Few data: the posterior is cut off by a bound in one direction and skewed in the other."""
+    """Return a problem of few data, whose posterior is cut by a bound in one direction and skewed
+    in the other."""
     free = {
         "height": Parameter(unit="V", lower=0, upper=4),
         "rate": Parameter(unit="s^-1", transform="log", lower=0.1, upper=10),
@@ -31,7 +33,7 @@ def problem():
 
 
 def on_a_grid():
-    """Values and weights by name: the likelihood where height and ln rate are flat, by NumPy."""
+    """Return values and weights by name: the likelihood for flat height and ln rate, by NumPy."""
     middles = (np.arange(500) + 0.5) / 500
     height, rate = 4 * middles, 0.1 * 100**middles
     expected = height[:, None, None] * np.exp(-rate[:, None] * TIME)
@@ -44,7 +46,7 @@ def on_a_grid():
 @pytest.mark.parametrize(
     "posterior", [Emcee(walkers=64, block=300), Nuts(draws=1000)], ids=["emcee", "nuts"]
 )
-def test_draws_are_those_of_the_posterior_on_a_grid(posterior):
+def test_draws_follow_the_posterior_on_a_grid(posterior):
     result = fit(problem(), starts=4, posterior=posterior, seed=1)
     assert result.converged
     assert result.posterior.missing_steps == 0
@@ -61,14 +63,14 @@ def test_draws_are_those_of_the_posterior_on_a_grid(posterior):
 
 
 @pytest.mark.slow
-def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
+def test_a_short_chain_is_kept_and_reported_as_not_converged():
     options = Emcee(walkers=8, steps=40, block=40)
     result = fit(problem(), starts=4, posterior=options)
     assert not result.converged
     assert "NOT CONVERGED" in str(result)
     assert any("more steps are missing" in sentence for sentence in result.failures)
     assert result.draws["height"].size >= 8
-    assert fit(problem(), starts=4).converged  # the optimum itself is one
+    assert fit(problem(), starts=4).converged  # the optimum itself has converged
 
 
 def test_progress_that_cannot_be_called_is_refused():
@@ -87,7 +89,7 @@ def test_progress_that_cannot_be_called_is_refused():
         (Emcee(), Emcee(), r"sampling: write posterior=Emcee\(...\)"),
     ],
 )
-def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
+def test_an_invalid_sampler_is_refused(posterior, sampling, expected):
     with pytest.raises(InputError, match=expected):
         fit(problem(), posterior=posterior, sampling=sampling)
 

@@ -1,5 +1,5 @@
-"""Effects of groups and their standard deviation, fitted together, against integrals of the closed
-form: the mean of n data of a group is N(mu, tau^2 + sd^2 / n)."""
+"""Tests effects of groups, fitted together with their standard deviation, against integrals of the
+closed form: the mean of n data of a group is N(mu, tau^2 + sd^2 / n)."""
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,8 @@ def problem(seed, *, groups=6, tau=UNIFORM):
 
 
 def exact(data, log_prior):
-    """Quantiles of tau and the mean of mu, each integrated over the other and the effects."""
+    """Return quantiles of tau and the mean of mu, each integrated over the other and the
+    effects."""
     means = data.mean(axis=1)
     tau = np.linspace(1e-5, 6, 200_001)
     variance = tau**2 + SD**2 / COUNT
@@ -53,7 +54,8 @@ SPREAD = 0.5  # standard deviation of u in the funnel
 
 
 def funnel(vector, _):
-    """Neal's funnel: u is normal, and each other number has the standard deviation exp(u)."""
+    """Return the log density of Neal's funnel: u is normal, and the other numbers have the standard
+    deviation exp(u)."""
     u, others = vector[0], vector[1:]
     return -(u**2) / (2 * SPREAD**2) - jnp.sum(u + others**2 * jnp.exp(-2 * u) / 2)
 
@@ -61,7 +63,7 @@ def funnel(vector, _):
 @pytest.mark.sweep
 @pytest.mark.parametrize("count", [6, 3])
 def test_draws_along_a_funnel_follow_its_closed_form(count):
-    """The mode of all numbers together is 1.5 or 3 standard deviations below the mean of u."""
+    """The joint mode is 1.5 or 3 standard deviations below the mean of u."""
     space = (*scalars(Parameter(name="u"), ()), *scalars(Parameter(name="v"), (count,)))
     lowest = -count * SPREAD**2
     mode = jnp.array([lowest, *[0.0] * count])
@@ -99,8 +101,8 @@ def test_draws_along_a_funnel_follow_its_closed_form(count):
     ids=["uniform", "log-normal", "open"],
 )
 def test_the_scale_of_groups_is_integrated_over_their_effects(tau, log_prior):
-    """The mode of all numbers together has tau about five times too large; without an upper bound
-    there is none."""
+    """At the joint mode tau is about five times too large, and without an upper bound there is no
+    mode."""
     found = fit(problem(1, tau=tau), starts=4)
     estimates = {estimate.name: estimate for estimate in found.estimates}
     (low, low_68, middle, high_68, high), mode = exact(np.asarray(found.problem.data), log_prior)
@@ -116,8 +118,8 @@ def test_the_scale_of_groups_is_integrated_over_their_effects(tau, log_prior):
 
 
 @pytest.mark.slow
-def test_a_scale_that_nothing_limits_is_named():
-    """Two groups: the density of tau falls as 1 / tau, whose integral has no end."""
+def test_an_unbounded_scale_is_named():
+    """With two groups the density of tau falls as 1 / tau, whose integral diverges."""
     found = fit(problem(1, groups=2, tau=Parameter(lower=0.0, start=0.3)), starts=4)
     assert not found.converged
     assert "give tau a prior or bounds at both ends" in found.failures[0]
@@ -125,7 +127,8 @@ def test_a_scale_that_nothing_limits_is_named():
 
 @pytest.mark.slow
 def test_intervals_of_a_scale_of_groups_cover_it():
-    """40 fits of 6 groups: of 200, 95 % intervals covered tau in 92 % and mu in 95.5 %."""
+    """Of 200 fits of 6 groups, 95 % intervals covered tau in 92 % and mu in 95.5 %. Here there are
+    40."""
     base, covered = problem(0), np.zeros(2)
     for seed in range(40):
         found = fit(base.with_data(np.asarray(problem(seed).data)), starts=4)
@@ -133,11 +136,11 @@ def test_intervals_of_a_scale_of_groups_cover_it():
         for i, (name, truth) in enumerate((("mu", 1.0), ("tau", 0.2))):
             low, high = estimates[name].interval_95
             covered[i] += low < truth < high
-    assert (covered >= 34).all()  # below with a chance of 1 %
+    assert (covered >= 34).all()  # fails with a chance of 1 %
 
 
-def test_places_in_cells_of_any_slope_follow_their_density():
-    """Also where the density rises by a factor of exp(2000) within a cell."""
+def test_draws_within_cells_of_any_slope_follow_their_density():
+    """The density may rise by a factor of exp(2000) within a cell."""
     places = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     logs = np.array([-2000.0, 0.0, -1.0, -1.0, -3000.0])
     along = Ridge(0, places, logs, places[:, None], np.zeros((5, 0, 0)))

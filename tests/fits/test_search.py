@@ -1,4 +1,4 @@
-"""Searches for the best fit under Student's t, against scipy from the truth."""
+"""Tests searches for the best fit under Student's t against SciPy started at the true values."""
 
 import io
 import sys
@@ -37,7 +37,7 @@ def peak(height, centre, width, base, inputs):
 
 
 def scipy_best(scale=None):
-    """Maximum likelihood by Nelder and Mead from the truth."""
+    """Return the maximum-likelihood estimate by Nelder and Mead's method from the true values."""
 
     def cost(p):
         height, centre, width, base = p[:4]
@@ -63,7 +63,7 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
         result = fit(template, seed=seed)
         assert result.converged
         found = np.array([float(result.values[name]) for name in FREE])
-        # The mode of the unconstrained values lies a small part of an error from it.
+        # The mode of the unconstrained values differs by a small part of an error.
         errors = np.array([e.standard_error for e in result.estimates[:4]])
         assert (np.abs(found - best[:4]) < 0.05 * errors).all()
 
@@ -72,7 +72,7 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
 @pytest.mark.filterwarnings("ignore:JAXopt is no longer maintained")
 @pytest.mark.parametrize("solver", ["Dogleg", "BFGS", "LBFGSB", "partial"])
 def test_a_solver_of_optimistix_or_jaxopt_ends_where_the_default_does(solver):
-    """A decay of 2 exp(-1.3 t), whose mode SciPy finds too."""
+    """The mode of a decay of 2 exp(-1.3 t) equals SciPy's."""
     time = np.linspace(0, 3, 40)
     data = 2 * np.exp(-1.3 * time) + 0.01 * np.random.default_rng(3).standard_normal(40)
     free = {"height": Parameter(start=1.0), "rate": Parameter(start=0.5)}
@@ -95,7 +95,7 @@ def test_a_solver_of_optimistix_or_jaxopt_ends_where_the_default_does(solver):
     assert found.converged
 
 
-def test_a_solver_that_cannot_be_used_is_refused():
+def test_an_invalid_solver_is_refused():
     free = {"a": Parameter(start=0.0)}
     counted = Problem(free, lambda a: a * jnp.ones(4), StudentT(scale=1.0), np.zeros(4))
     with pytest.raises(InputError, match=r"Dogleg.* solves least squares, and StudentT is none"):
@@ -105,7 +105,8 @@ def test_a_solver_that_cannot_be_used_is_refused():
 
 
 def test_a_first_fit_compiles_few_programs():
-    """One for search, mode and the test of Laplace's approximation, and a few small ones."""
+    """There is one program for search, mode and the test of Laplace's approximation, and a few
+    small ones."""
     compiled = []
 
     def listen(name, seconds, **_):
@@ -133,7 +134,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("stream", [Terminal, io.StringIO])
-def test_a_terminal_is_told_of_the_search(stream, monkeypatch):
+def test_a_terminal_shows_the_progress_of_the_search(stream, monkeypatch):
     monkeypatch.setattr(sys, "stderr", stream())
     monkeypatch.setenv("TERM", "xterm")
     free = {"a": Parameter(lower=0, upper=9)}

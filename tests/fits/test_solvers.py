@@ -1,4 +1,4 @@
-"""Newton's method against SciPy and closed forms."""
+"""Tests Newton's method against SciPy and closed forms."""
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +28,8 @@ def test_one_evaluation_of_newton_gives_the_derivatives_at_the_start():
     assert not found.converged
 
 
-def test_many_searches_never_wait_for_each_other_s_threads():
-    """No program of ours runs two decompositions of a batch at the same time."""
+def test_many_searches_never_wait_for_each_others_threads():
+    """No program runs two batched decompositions at the same time."""
     matrices = jnp.ones((5, 3, 3))
 
     def hung(matrix):
@@ -42,8 +42,8 @@ def test_many_searches_never_wait_for_each_other_s_threads():
 
 
 def test_newton_knows_whether_it_ended_at_a_minimum():
-    """The lowest eigenvalue of the scaled Hessian is NumPy's, at a minimum, a saddle and a maximum;
-    only the first counts as the end of a search."""
+    """The lowest eigenvalue of the scaled Hessian equals NumPy's at a minimum, a saddle point and a
+    maximum. Only the minimum counts as converged."""
     for signs, place in (((1, 1), 0.0), ((1, -1), 0.0), ((-1, -1), 0.0)):
         curvature = jnp.asarray(signs, float) * jnp.array([3.0, 40.0])
 
@@ -58,8 +58,9 @@ def test_newton_knows_whether_it_ended_at_a_minimum():
         assert bool(found.converged) == (signs == (1, 1))
 
 
-def test_searches_in_step_end_where_scipys_do_and_none_spoils_another():
-    """A decay from three places, one where the cost is not finite and one where it is flat."""
+def test_parallel_searches_end_where_scipys_do():
+    """A decay is fitted from several starts, including one where the cost is not finite and one
+    where it is flat."""
     starts = np.array([[1.0, 1.0], [5.0, 0.3], [1.0, -600.0], [0.5, 4.0]])
 
     def local(vectors):

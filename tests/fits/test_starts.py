@@ -1,5 +1,5 @@
-"""A wrong optimum never reads as success: a hundred single starts of each problem, spread over its
-box, end at the best optimum or say that they failed."""
+"""Tests that a wrong optimum is never reported as success: a hundred single starts of each problem,
+spread over its box, end at the best optimum or are reported as failed."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ RNG = np.random.default_rng(8)
 
 
 def ball():
-    """The lamp of README."""
+    """Return the problem of the README's lamp."""
     axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
     view = Orthographic((0.0, 0.0, 5.0), axes, 2.2 / 20, resolution=(20, 20))
 
@@ -41,7 +41,7 @@ def ball():
 
 
 def glow():
-    """The decay under Student's t of the page on own models."""
+    """Return the decay under Student's t of the page on own models."""
     time = np.linspace(0.0, 4.0, 60)
     data = 1.5 * np.exp(-time / 0.8) + 0.2 + 0.02 * RNG.standard_t(4.0, 60)
     return Problem(
@@ -60,7 +60,7 @@ def glow():
 
 
 def peak():
-    """A peak on a background, noise unknown: far from the peak there is no slope."""
+    """Return a peak on a background with unknown noise. Far from the peak the gradient vanishes."""
     place = np.linspace(0.0, 10.0, 80)
     data = 0.3 + 2 * np.exp(-(((place - 6.5) / 0.4) ** 2) / 2) + 0.1 * RNG.standard_normal(80)
     return Problem(
@@ -80,7 +80,7 @@ def peak():
 
 
 def counted(problem):
-    """How many starts were right, said that they failed, and were wrong without a word."""
+    """Return how many starts were right, reported as failed, and wrong without a report."""
     begin = spread_starts(problem, STARTS, seed=1)
     natural = np.asarray(to_natural(problem.space, jnp.asarray(begin)))
     shapes = [(p.name, p.shape or ()) for p in problem.free]
@@ -103,10 +103,10 @@ def counted(problem):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [ball, glow, peak])
-def test_a_wrong_optimum_never_reads_as_success(stated):
+def test_a_wrong_optimum_is_never_reported_as_success(stated):
     right, said, wrong = counted(stated())
     assert wrong == 0, f"{right} right, {said} said that they failed"
-    assert right >= 50  # not by calling all of them failures
+    assert right >= 50  # not everything is a failure
 
 
 PEAK = np.linspace(0, 100, 400)
@@ -139,7 +139,7 @@ def test_a_start_from_the_data_finds_a_peak_that_one_search_misses():
 
 
 @pytest.mark.slow
-def test_each_pixel_of_a_map_begins_at_the_start_of_its_data():
+def test_each_pixel_of_a_map_starts_from_its_data():
     centres = np.array([12.0, 50.5, 93.0])
     images = np.stack([narrow(2.0, c, PEAK) for c in centres], axis=-1)
     maps = fit_map(peak(np.zeros(400), start=highest), images, starts=1)
@@ -155,6 +155,6 @@ def test_each_pixel_of_a_map_begins_at_the_start_of_its_data():
         (lambda data: {"height": data[:2]}, r"height has the shape \(\), its start \(2,\)"),
     ],
 )
-def test_a_start_that_is_none_is_refused(start, expected):
+def test_an_invalid_start_is_refused(start, expected):
     with pytest.raises(InputError, match=expected):
         fit(peak(np.zeros(400), start=start))

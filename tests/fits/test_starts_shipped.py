@@ -1,5 +1,5 @@
-"""Searches of the shipped calibrations from a hundred random starts: at least 98 reach the optimum
-that the calibration finds, or say that they have not."""
+"""Tests searches of the shipped calibrations from a hundred random starts: at least 98 reach the
+optimum that the calibration finds, or are reported as failed."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,11 +22,11 @@ from fitting.reflectance.models import has_lobe, is_searched, shape_range
 from fitting.reflectance.names import MODELS
 
 STARTS = 100
-SAME = 0.01  # of the log likelihood: a seventh of a standard deviation
+SAME = 0.01  # of the log likelihood, a seventh of a standard deviation
 
 
 def outcomes(search, cost, best, starts):
-    """How many reach the optimum, say that they fail, and do neither."""
+    """Return how many searches reach the optimum, are reported as failed, and neither."""
     reached = said = 0
     for start in starts:
         vector, converged = search(jnp.asarray(start))
@@ -46,8 +46,8 @@ def judge(found, at_least):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
-def test_reflectance(model):
-    """Amplitudes from a hundredth to ten times the light, shapes over the searched range."""
+def test_searches_of_reflectance(model):
+    """Amplitudes are from a hundredth to ten times the light, and shapes over the whole range."""
     observation, chosen, cells = reflectance.SPHERE.observed
     view = View(observation, 0, chosen)
     fit = fit_channel(view, Form(model), cells)
@@ -68,8 +68,9 @@ def test_reflectance(model):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 10.0])
-def test_noise(factor):
-    """All positive numbers within a factor of those found, others within as many deviations."""
+def test_searches_of_noise(factor):
+    """Positive numbers start within a factor of the optimum, and others within as many
+    deviations."""
     chosen = calibrate_noise(noise.measured(noise.CASES["clean"], 0)).chosen
     starts = about(chosen.optimum.vector, chosen.optimum.information, chosen.space, factor)
     problem = replace_parameters(chosen.problem, chosen.space)
@@ -86,7 +87,7 @@ def test_noise(factor):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 7.0])
-def test_joint(factor):
+def test_searches_of_joint_fits(factor):
     measurement = joint.photographed(joint.CASES["12 lights off by 1 %"], 0)
     (fit,) = calibrate_joint(measurement, fit_gamma=True).fits
     starts = about(fit.vector, fit.information, fit.space, factor)
@@ -109,8 +110,8 @@ def about(vector, information, space, factor):
 
 
 @pytest.mark.slow
-def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
-    """A start on the plateau of facets so rough that they no longer shine."""
+def test_a_lobe_beyond_the_searched_range_is_not_an_optimum():
+    """The start is on the plateau of facets so rough that they no longer reflect a highlight."""
     observation, chosen, cells = reflectance.SPHERE.observed
     view = View(observation, 0, chosen)
     fit = fit_channel(view, Form("torrance-sparrow-beckmann"), cells)

@@ -1,5 +1,5 @@
-"""Data read in chunks: the fit of the same data in memory, from a file and from a function; what
-cannot be read."""
+"""Tests data read in chunks: the fit equals the one in memory, from a file and from a function, and
+unreadable data are refused."""
 
 from dataclasses import replace
 
@@ -36,11 +36,11 @@ def problem(data=DECAY, likelihood=SMALL, inputs=TIME, **options):
 
 
 def ignored(done, whole):
-    """Of the progress."""
+    """Ignore the progress."""
 
 
 def yielded():
-    """Pieces of other lengths than a chunk, one of them longer."""
+    """Yield pieces of other lengths than a chunk, one of them longer."""
     for begin, end in [(0, 777), (777, 800), (800, 4000), (4000, COUNT)]:
         yield DECAY[begin:end], TIME[begin:end]
 
@@ -50,8 +50,9 @@ def line(base, slope, inputs):
 
 
 @pytest.mark.slow
-def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
-    """The closed form of NumPy; a mapped file, an error of each datum, inputs of no row."""
+def test_a_line_in_chunks_equals_weighted_least_squares(tmp_path):
+    """The reference is NumPy's closed form, for a memory-mapped file, an error of each datum, and
+    inputs not ordered by rows."""
     values = 1.0 - 0.2 * TIME + SD * RNG.standard_normal(COUNT)
     values[[17, 10_299]] = np.nan
     np.save(tmp_path / "data.npy", values)
@@ -71,7 +72,8 @@ def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
     best, chi_square, *_ = np.linalg.lstsq(design, (values / SD)[there], rcond=None)
     covariance = np.linalg.inv(design.T @ design)
     missed = np.array([e.value for e in found.estimates]) - best
-    # A step that promises 1e-7 in log density is not taken: sqrt(2e-7) standard errors.
+    # A step with a predicted gain of 1e-7 in log density is not taken, which is sqrt(2e-7) standard
+    # errors.
     assert (np.abs(missed) < 5e-4 * np.sqrt(np.diag(covariance))).all()
     np.testing.assert_allclose(found.posterior.covariance, covariance, rtol=1e-9)
     np.testing.assert_allclose(found.misfit.chi_square, chi_square[0], rtol=1e-8)
@@ -82,8 +84,8 @@ def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [CLIPPED, SMALL])
-def test_a_function_that_yields_gives_the_fit_in_memory(likelihood):
-    """Within the tolerance of the search, a thousandth of a standard error."""
+def test_a_generator_gives_the_fit_in_memory(likelihood):
+    """The results agree within the search's tolerance, a thousandth of a standard error."""
     found = fit(problem(yielded, likelihood, None, chunk=CHUNK), starts=4)
     expected = fit(problem(likelihood=likelihood), starts=4)
     for one, other in zip(found.estimates, expected.estimates, strict=True):
@@ -113,7 +115,8 @@ def test_a_sample_is_spread_over_all_data():
     drawn = problem(chunk=CHUNK)
     times = np.asarray(drawn.inputs)
     assert (np.diff(times) > 0).all()
-    # A thousand of 10,300 drawn evenly: the largest deviation of 99.9 % is 1.95 / sqrt(1000).
+    # For a thousand of 10,300 data, evenly drawn, the 99.9 % quantile of the largest deviation is
+    # 1.95 / sqrt(1000).
     assert np.abs(times / 3 - (np.arange(CHUNK) + 0.5) / CHUNK).max() < 0.062
     few = problem(DECAY[:300], inputs=TIME[:300], chunk=CHUNK)
     assert int(few.present.sum()) == 299
@@ -121,7 +124,7 @@ def test_a_sample_is_spread_over_all_data():
     assert again.stream.count == 300
 
 
-def test_sums_of_parts_judge_like_the_whole():
+def test_sums_over_parts_judge_like_the_whole():
     residuals = RNG.standard_normal((50, 7)).cumsum(axis=0)
     residuals[20, 3] = np.nan
     parts = sums(residuals[:20]) + sums(residuals[20:], before=residuals[19])
@@ -132,8 +135,8 @@ def test_sums_of_parts_judge_like_the_whole():
     assert found.faults == whole.faults != ()
 
 
-def test_what_has_as_many_rows_as_a_part_of_the_data_by_chance_is_given_whole():
-    """A table of twelve, of which the last chunk has as many rows."""
+def test_inputs_with_as_many_rows_as_a_chunk_by_chance_are_given_whole():
+    """The last chunk has twelve rows, like a table among the inputs."""
     table, time = np.linspace(1, 2, 12), TIME[:112]
     data = 2 * time + table.sum()
 
@@ -177,7 +180,7 @@ class Changing:
         (lambda: iter([(np.ones(3), 1.0), (np.ones(3), 2.0)]), {}, "unchanged"),
     ],
 )
-def test_what_cannot_be_read_is_said(data, options, expected):
+def test_unreadable_data_are_named(data, options, expected):
     with pytest.raises(InputError, match=expected):
         problem(data, **({"chunk": CHUNK} | options))
 
@@ -195,11 +198,11 @@ def test_data_that_change_and_chains_are_refused():
     [
         (lambda rows: rows[:80], "80 rows were read, and 100 at first"),
         (lambda rows: rows + 1e-9, "100 rows were read as at first, but with other numbers"),
-        (lambda rows: rows[::-1], None),  # the order may change
+        (lambda rows: rows[::-1], None),  # another order is allowed
     ],
 )
 def test_a_source_is_compared_with_its_first_reading(again, expected):
-    """The first call is the first reading: none is spent on a look at the data."""
+    """The first call is already the first reading of the data."""
     rows, calls = np.arange(100.0), []
 
     def source():
@@ -218,8 +221,8 @@ def test_a_source_is_compared_with_its_first_reading(again, expected):
 
 
 @pytest.mark.slow
-def test_ends_that_only_all_data_tell_apart_are_one():
-    """Searches of a sample stop within its precision, which is coarser than that of all data."""
+def test_ends_that_a_sample_cannot_distinguish_count_as_one():
+    """Searches on a sample stop within its precision, which is coarser than that of all data."""
     own = problem(chunk=CHUNK)
     sampled = search(own, jnp.asarray(spread_starts(own, 4, seed=0)))
     sd = 1 / np.sqrt(np.diagonal(sampled.information))

@@ -1,4 +1,4 @@
-"""Variable projection against scipy's non-negative least squares and multistart searches."""
+"""Tests variable projection against SciPy's non-negative least squares and multistart searches."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,14 +15,14 @@ def decays(log_rates):
 
 
 def best(y, fixed, *, lower, upper, weights=None):
-    """The fit of one band; fixed columns (count, observations)."""
+    """Return the fit of one band with fixed columns, (count, observations)."""
     y, fixed = jnp.asarray(y)[:, None], jnp.asarray(fixed, y.dtype)
     weights = jnp.ones_like(y) if weights is None else jnp.asarray(weights)[:, None]
     return fit_separable(decays, fixed, y, weights, lower=lower, upper=upper)
 
 
 def scipy_best(y, fixed, lower, upper, *, count=20_001):
-    """Brute force: scipy's NNLS on a fine grid of log rates."""
+    """Return the best fit by brute force: SciPy's NNLS on a fine grid of log rates."""
     best = (np.inf, None, None)
     for t in np.linspace(lower, upper, count):
         amplitudes, norm = scipy.optimize.nnls(np.column_stack([*fixed, np.exp(-np.exp(t) * X)]), y)
@@ -86,15 +86,15 @@ def test_negative_amplitudes_are_held_at_zero():
     np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
 
 
-def test_a_slope_that_only_falls_ends_at_the_bound():
-    y = np.exp(-0.01 * X)  # slower than the slowest rate allowed
+def test_a_cost_that_only_falls_ends_at_the_bound():
+    y = np.exp(-0.01 * X)  # slower than the slowest rate
     found = best(y, np.zeros((0, X.size)), lower=-1.0, upper=3.0)
     np.testing.assert_allclose(found.nonlinear, -1.0, atol=1e-6)
 
 
 @pytest.mark.slow
 def test_two_fixed_columns_beside_the_searched_one():
-    """Against scipy's NNLS at the rate that was found."""
+    """The reference is SciPy's NNLS at the fitted rate."""
     rng = np.random.default_rng(3)
     y = 0.2 + 0.1 * X + 2 * np.exp(-3 * X) + 0.02 * rng.standard_normal(X.size)
     found = best(y, np.stack([np.ones_like(X), X]), lower=-4.0, upper=4.0)

@@ -1,4 +1,4 @@
-"""FITS files of other programs: the phase of their mosaics, blanks, units and axes."""
+"""Tests FITS files of other programs: the phase of their mosaics, blank values, units and axes."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,8 @@ def test_the_phase_of_a_mosaic_starts_at_its_offsets(tmp_path, right, down):
 @pytest.mark.parametrize("rows", [4, 5])
 @pytest.mark.parametrize("order", ["TOP-DOWN", "BOTTOM-UP", None])
 def test_rows_from_below_change_the_phase(tmp_path, order, rows):
-    """The pattern is of the upright picture: turned over, its rows begin with the last."""
+    """The pattern is for the upright picture, so for bottom-up files its rows start with the
+    last."""
     header = {"BAYERPAT": "GRBG"} | ({"ROWORDER": order} if order else {})
     upright = np.tile(np.array([["G", "R"], ["B", "G"]]), (3, 3))[:rows]
     stored = upright[::-1] if order == "BOTTOM-UP" else upright
@@ -76,7 +77,7 @@ def test_units_are_named_and_chosen(tmp_path):
         np.testing.assert_array_equal(read_image(file, part=part), errors)
     with pytest.raises(InputError, match="has no image 'STARS'; its units are 0 PRIMARY, 1 SCI"):
         read_image(file, part="STARS")
-    settings = read_settings(file)  # of the first unit, which holds no image
+    settings = read_settings(file)  # the first unit has no image
     assert (settings.exposure, settings.temperature) == pytest.approx((3.0, 253.15))
 
 
@@ -102,16 +103,17 @@ def test_a_file_cut_short_is_one_sentence(tmp_path):
     (tmp_path / "a.fits").write_bytes(whole[:20_000])
     with pytest.raises(InputError, match=r"a\.fits: (the file is cut short|not readable as FITS)"):
         read_image(tmp_path / "a.fits")
-    strange = whole.replace(b"conforms", b"c\xf6nforms")  # a header that deserves a warning
+    strange = whole.replace(b"conforms", b"c\xf6nforms")  # a header that causes a warning
     for data in (whole, strange):
-        (tmp_path / "a.fits").write_bytes(data[:43_000])  # within the padding of the last block
+        (tmp_path / "a.fits").write_bytes(data[:43_000])  # in the padding of the last block
         with pytest.raises(InputError, match=r"a\.fits: the file is cut short; copy it again"):
             read_image(tmp_path / "a.fits")
 
 
 @pytest.mark.parametrize("pedestal", [-100, 100])
 def test_a_pedestal_is_a_black_level_in_either_sign(tmp_path, pedestal):
-    """SBIG's convention is the number to add to come to 0; others write what was added."""
+    """In SBIG's convention the number must be added to reach 0. Others write the number that was
+    added."""
     fits.writeto(tmp_path / "a.fits", np.zeros((2, 2)), fits.Header({"PEDESTAL": pedestal}))
     assert read_settings(tmp_path / "a.fits").black_level == 100
 

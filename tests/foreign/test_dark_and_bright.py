@@ -1,5 +1,5 @@
-"""Pictures of eight decades, with dead pixels, and in any unit of light: star fields, a lamp at
-night, mattes of a dim scene."""
+"""Tests pictures with values over eight decades, with dead pixels, and in any unit of light: star
+fields, a lamp at night, mattes of a dim scene."""
 
 from functools import partial
 
@@ -31,7 +31,7 @@ def stars(background: float) -> np.ndarray:
 
 
 def by_windows(picture: np.ndarray, kernel: np.ndarray, mode: str = "symmetric") -> np.ndarray:
-    """Correlation by sums over windows, in float64."""
+    """Return the correlation by sums over windows, in float64."""
     kh, kw = kernel.shape
     reach = [(kh // 2, kh - 1 - kh // 2), (kw // 2, kw - 1 - kw // 2)]
     wide = np.pad(picture.astype(float), reach, mode=mode)
@@ -43,7 +43,7 @@ def by_windows(picture: np.ndarray, kernel: np.ndarray, mode: str = "symmetric")
 def test_every_pixel_of_eight_decades_is_right(picture, method):
     truth = by_windows(picture, STAR)
     got = np.asarray(filters.correlate(picture, STAR, method=method))
-    np.testing.assert_allclose(got, truth, rtol=1e-4)  # where the truth is 0, the sum is
+    np.testing.assert_allclose(got, truth, rtol=1e-4)  # where the true value is 0, so is the sum
     assert (got >= 0).all()
 
 
@@ -56,15 +56,15 @@ def test_a_dead_pixel_spoils_its_window_only(value):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("method", ["auto", "fft"])
-def test_a_kernel_that_is_not_finite_ends(method, value):
-    """The windows of each pixel, continued beyond the border, hold all taps."""
+def test_a_kernel_that_is_not_finite_makes_all_pixels_nan(method, value):
+    """The windows of all pixels, continued beyond the border, contain all taps."""
     kernel = STAR.copy()
     kernel[3, 3] = value
     assert np.isnan(filters.correlate(night(1e7), kernel, method=method)).all()
 
 
 @pytest.mark.slow
-def test_slopes_through_a_transform_are_those_of_the_sum():
+def test_gradients_by_fft_equal_those_of_the_sum():
     picture, kernel = jnp.asarray(stars(0.01)), jnp.asarray(STAR)
 
     def loss(f, k, method):
@@ -95,8 +95,8 @@ def test_diffraction_of_a_lamp_at_night():
 
 
 @pytest.mark.parametrize("method", ["auto", "separable", "direct", "conv"])
-def test_a_disc_keeps_a_lamp_out_of_what_it_does_not_reach(method):
-    """A disc has rank 4 or more, and passes that cancel in its corners."""
+def test_a_lamp_does_not_change_pixels_beyond_the_reach_of_a_disc(method):
+    """A disc has rank 4 or more, and the separable passes cancel in its corners."""
     disc = (np.hypot(*np.mgrid[-6:7, -6:7]) <= 6.2).astype(np.float32)
     disc /= disc.sum()
     for picture in (night(1e8), stars(0)):
@@ -121,7 +121,7 @@ def test_mattes_do_not_depend_on_the_unit_of_light(unit):
     apart = np.linalg.norm((behind / unit).astype(float) - beside / unit, axis=-1, keepdims=True)
     differs = matting.difference_matte(behind, beside, 0.1 * unit, 0.9 * unit)
     np.testing.assert_allclose(differs, np.clip((apart - 0.1) / 0.8, 0, 1), atol=1e-5)
-    same = np.stack([behind] * 3)  # their mean is rounded
+    same = np.stack([behind] * 3)  # the mean is rounded
     assert (matting.least_squares_matte(same, same)[..., 3] == 1).all()
 
 
@@ -140,9 +140,9 @@ def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
 @pytest.mark.sweep
 @pytest.mark.parametrize("exponent", [-80, -50, 60])
 def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
-    """Powers of two scale without rounding, so that nothing but the unit may differ."""
+    """Powers of two scale without rounding, so only the unit differs."""
     picture = np.random.default_rng(3).uniform(0.1, 0.9, (9, 8, 3)).astype(np.float32)
-    picture[2, 3] = np.inf  # counts for no unit
+    picture[2, 3] = np.inf  # does not affect the unit
     unit = np.float32(2.0**exponent)
 
     def bilateral(x, unit):
@@ -169,7 +169,7 @@ def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
 @pytest.mark.sweep
 @pytest.mark.parametrize("exponent", [-60, 60])
 def test_weights_and_curves_do_not_depend_on_their_unit(exponent):
-    """A normalised kernel may have any sum, a curve any unit on both of its axes."""
+    """A normalised kernel may have any sum, and a curve any unit on both axes."""
     picture = np.random.default_rng(4).uniform(0.1, 0.9, (9, 8)).astype(np.float32)
     kernel = np.outer([1, 2, 1], [1, 3, 2]).astype(np.float32)
     unit, border = np.float32(2.0**exponent), "normalised_zero"
@@ -190,7 +190,7 @@ def test_weights_and_curves_do_not_depend_on_their_unit(exponent):
 
 
 def bilateral_by_definition(picture, sigma_space, sigma_range, radius):
-    """Each window by itself, in float64; what is infinitely far in value has no weight."""
+    """Return each window's mean, in float64, where pixels of infinite difference have no weight."""
     rows, columns = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     space = np.exp(-(rows**2 + columns**2) / (2 * sigma_space**2))
     around = sliding_window_view(
@@ -208,14 +208,14 @@ def bilateral_by_definition(picture, sigma_space, sigma_range, radius):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bands", [0, 2])
-def test_infinite_pixels_have_no_part_in_the_means_of_others(bands):
-    """A saturated or broken pixel of an EXR: the others are as by the definition, it stays."""
+def test_infinite_pixels_do_not_enter_the_means_of_others(bands):
+    """A saturated or broken pixel of an EXR stays, and the others equal the definition."""
     picture = np.random.default_rng(0).random((9, 11)).astype(np.float32)
     picture[4, 5], picture[4, 6], picture[2, 2] = np.inf, -np.inf, np.inf
     true = bilateral_by_definition(picture, 1.5, 0.2, 2)
     assert np.isfinite(true).sum() == picture.size - 3
     given = np.repeat(picture[..., None], bands, -1) if bands else picture
-    sigma = 0.2 * max(bands, 1) ** 0.5  # equal bands add up their squares
+    sigma = 0.2 * max(bands, 1) ** 0.5  # squares of equal bands add up
 
     def smooth(given):
         return filters.bilateral_filter(given, 1.5, sigma, radius=2)

@@ -1,4 +1,5 @@
-"""Numbers as other programs hand them to a fit: byte order, text, complex numbers, gaps."""
+"""Tests numbers from other programs as the data of a fit: byte order, text, complex numbers,
+gaps."""
 
 import datetime
 import warnings
@@ -28,7 +29,8 @@ def line(data=TRUTH, inputs=TIME, sd=0.3, **more):
 
 
 def test_the_other_byte_order_is_read():
-    """As astropy gives a FITS table: (sum of x y) / (sum of x^2) of centred numbers is 2."""
+    """Data are as from a FITS table by astropy. The slope, (sum of x y) / (sum of x^2) of centred
+    numbers, is 2."""
     times = (1000 * TIME).round().astype(">i2")
     centred = times - times.mean()
     slope = centred @ TRUTH / (centred @ centred)
@@ -51,7 +53,7 @@ def test_the_other_byte_order_is_read():
         ([datetime.datetime(2020, 1, 1)] * 8, "holds datetime"),
     ],
 )
-def test_what_is_no_number_is_refused_by_the_name_of_its_argument(held, words):
+def test_inputs_that_are_not_numbers_are_refused_by_argument(held, words):
     frames = np.zeros((4, 2, 8, 8)).astype(str)
     camera = noise.Camera(bits=8)
     lights = np.array([[0, 0, 1.0]] * 8)
@@ -90,7 +92,7 @@ def test_no_imaginary_part_is_dropped():
     ):
         with pytest.raises(InputError, match="holds complex numbers"):
             call()
-    inputs = TIME + 1j  # which predict may ask for
+    inputs = TIME + 1j  # which `predict` may use
     problem = Problem(
         {"slope": Parameter(lower=-100, upper=100)},
         lambda slope, inputs: slope * inputs.real + inputs.imag,
@@ -107,7 +109,7 @@ def test_a_gap_in_the_inputs_is_named_with_its_place():
         fit(line(inputs=gap))
     with pytest.raises(InputError, match=r"offset is NaN; give a number"):
         fit(line(offset=np.nan))
-    both = fit(line(np.where(np.isnan(gap), np.nan, TRUTH), gap))  # a row that is not there
+    both = fit(line(np.where(np.isnan(gap), np.nan, TRUTH), gap))  # equal to a missing row
     np.testing.assert_allclose(both.values["slope"], 2, rtol=1e-4)
 
 
@@ -142,7 +144,7 @@ def test_numbers_of_80_bits_and_records_are_read_or_refused_by_name():
 
 
 @pytest.mark.slow
-def test_what_is_no_random_key_is_refused_where_it_is_given():
+def test_an_invalid_random_key_is_refused():
     grey = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.1]), [0.5], two_sided=True)
     scene, ray = jv.Scene(grey, []), jv.Ray([0, 0, 0], [0, 0, 1])
 
@@ -185,5 +187,5 @@ def test_numbers_beyond_32_bits_are_named(size, words):
         warnings.simplefilter("error")
         assert jv.filters.gaussian(picture, 1.0).max() == pytest.approx(size)
         with jax.enable_x64(False):
-            tails = np.exp(-(np.arange(20.0) ** 2))  # of which single numbers are below
+            tails = np.exp(-(np.arange(20.0) ** 2))  # whose single weights are tiny
             jv.filters.correlate(np.ones((32, 32)), np.outer(tails, tails)[:9, :9])

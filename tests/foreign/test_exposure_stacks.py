@@ -1,5 +1,5 @@
-"""Exposure stacks of other people's cameras: mosaics and amplifiers that differ by site, brackets
-of three exposures, dim scenes, left-aligned numbers, and heads that contradict the rig."""
+"""Tests exposure stacks of various cameras: mosaics and amplifiers that differ by site, brackets of
+three exposures, dim scenes, left-aligned numbers, and headers that contradict the rig."""
 
 import io
 from types import SimpleNamespace
@@ -48,7 +48,7 @@ SITES = {"red": 480.0, "green 1": 512.0, "green 2": 512.0, "blue": 560.0}
 
 
 def shot(light, rng, *, black=0.0, read_noise=3.0, gain=1.0, top=16383):
-    """DN of a linear camera."""
+    """Return the DN of a linear camera."""
     dn = black + gain * rng.poisson(light / gain) + rng.normal(0, read_noise, np.shape(light))
     return np.clip(np.round(dn), 0, top).astype(np.uint16)
 
@@ -63,7 +63,7 @@ def mosaic_black(height, width):
 
 
 def mosaic(height, width, seed):
-    """Five exposures and two darks, black level another at each colour."""
+    """Return five exposures and two darks, with another black level for each colour."""
     rng, black = np.random.default_rng(seed), mosaic_black(height, width)
     light = ramp(height, width, low=60, high=54000)
     images = [shot(light * t, rng, black=black) for t in FIVE]
@@ -83,7 +83,7 @@ def write_stack(folder, images, times, *, camera, darks=()):
     return folder
 
 
-def test_darks_tell_the_black_level_of_each_site(tmp_path):
+def test_darks_give_the_black_level_of_each_site(tmp_path):
     images, darks = mosaic(64, 80, 0)
     folder = write_stack(tmp_path, images, FIVE, camera='bits = 14\npattern = "RGGB"', darks=darks)
     planes = read_exposure_stack(folder).planes
@@ -94,7 +94,7 @@ def test_darks_tell_the_black_level_of_each_site(tmp_path):
     assert {plane.channel: plane.black for plane in planes} == SITES
 
 
-def test_darks_tell_the_black_level_of_each_colour(tmp_path):
+def test_darks_give_the_black_level_of_each_colour(tmp_path):
     rng = np.random.default_rng(1)
     black = np.array([20.0, 30.0, 45.0])
     light = ramp(20, 40, low=2, high=60)[..., None] * np.ones(3)
@@ -124,8 +124,8 @@ def test_a_linear_mosaic_of_several_black_levels_is_linear():
 
 
 @pytest.mark.slow
-def test_taps_are_calibrated_apart_and_their_map_has_no_stripes():
-    """Even and odd columns of another offset and gain."""
+def test_taps_are_calibrated_separately_and_their_map_has_no_stripes():
+    """Even and odd columns have different offsets and gains."""
     rng = np.random.default_rng(2)
     light = ramp(60, 121, low=100, high=4000)
     column = np.mgrid[:60, :121][1] % 2
@@ -139,13 +139,13 @@ def test_taps_are_calibrated_apart_and_their_map_has_no_stripes():
     error = np.log(radiance_images(found)[""] / light)
     assert error.shape == light.shape
     stripes = [np.median(error[:, 40 + tap :: 2]) for tap in (0, 1)]
-    assert abs(stripes[0] - stripes[1]) < 0.01  # 0.2 between them before
+    assert abs(stripes[0] - stripes[1]) < 0.01  # earlier 0.2
     for picture in found.section.pictures:
         picture.draw()
 
 
 @pytest.mark.slow
-def test_quadrants_are_calibrated_apart_and_their_map_has_no_steps():
+def test_quadrants_are_calibrated_separately_and_their_map_has_no_steps():
     rng = np.random.default_rng(2)
     row, column = np.indices((60, 121))
     light = 100 * 40 ** (np.cos(column / 10) / 2 + 0.5)
@@ -159,15 +159,15 @@ def test_quadrants_are_calibrated_apart_and_their_map_has_no_steps():
     error = np.log(radiance_images(found)[""] / light)
     assert error.shape == light.shape
     levels = [np.median(error[tap == i]) for i in range(4)]
-    assert np.ptp(levels) < 0.01  # 0.3 between them before
+    assert np.ptp(levels) < 0.01  # earlier 0.3
     for picture in found.section.pictures:
         picture.draw()
 
 
-def test_of_a_region_only_that_is_read():
+def test_only_the_region_is_read():
     rng = np.random.default_rng(3)
     light = ramp(30, 60, low=20, high=900)
-    light[:, 40:] = 0  # what belongs to another amplifier
+    light[:, 40:] = 0  # another amplifier
     images = [shot(light * t, rng, black=64) for t in (0.5, 1.0)]
     camera = Camera(bits=14, region=(2, 1, 20, 30))
     stack = from_stack(images, (0.5, 1.0), camera=camera, mask=light > 100)
@@ -175,8 +175,8 @@ def test_of_a_region_only_that_is_read():
     np.testing.assert_array_equal(stack.planes[0].mask, (light > 100)[2:22, 1:31])
 
 
-def test_noise_is_no_black_level():
-    """8 bits, gamma 2.2, three exposures at three stops."""
+def test_noise_is_not_taken_for_a_black_level():
+    """The camera has 8 bits and gamma 2.2, with three exposures three stops apart."""
     rng = np.random.default_rng(8)
     light = 40 * ramp(120, 160, low=1, high=300)
     codes = []
@@ -187,12 +187,12 @@ def test_noise_is_no_black_level():
     alike = np.abs(codes[1].astype(int) - codes[0]) <= 1
     assert np.mean(alike & (codes[1] < 64)) > 0.005
     assert floor_level(codes, np.array(BRACKET), camera) == 0
-    codes[:, :30] = rng.normal(20, 2, (3, 30, 160)).round()  # and where no light falls
+    codes[:, :30] = rng.normal(20, 2, (3, 30, 160)).round()  # without light
     assert floor_level(codes, np.array(BRACKET), camera) == pytest.approx(20, abs=1)
 
 
 def framed(bar, black):
-    """A linear stack of 12 bits with bars of a film at the top and the bottom."""
+    """Return a linear 12-bit stack with letterbox bars at the top and the bottom."""
     rng = np.random.default_rng(9)
     blocks = np.random.default_rng(0).standard_normal((12, 16))
     light = 40 * ramp(120, 160, low=1, high=300) * np.exp(0.5 * np.kron(blocks, np.ones((10, 10))))
@@ -205,8 +205,9 @@ def framed(bar, black):
 
 
 @pytest.mark.slow
-def test_bars_of_a_film_are_neither_black_nor_scene():
-    """Bars at 300 DN were taken for the black level of a camera whose black is 64 DN."""
+def test_letterbox_bars_are_neither_black_nor_scene():
+    """An earlier version took bars at 300 DN for the black level of a camera whose black is 64
+    DN."""
     codes = framed(300, 64)
     camera = Camera(bits=12)
     assert floor_level(np.array(codes), np.array(BRACKET), camera.at("grey")) == 0
@@ -221,7 +222,7 @@ def test_bars_of_a_film_are_neither_black_nor_scene():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [12, pytest.param(14, marks=pytest.mark.slow)])
 def test_a_linear_bracket_of_three_exposures_is_linear(seed):
-    """One of three such was called no pure gamma."""
+    """An earlier version reported that one of three such brackets was no pure gamma."""
     rng = np.random.default_rng(seed)
     blocks = np.random.default_rng(0).standard_normal((12, 16))
     light = 40 * ramp(120, 160, low=1, high=300) * np.exp(0.5 * np.kron(blocks, np.ones((10, 10))))
@@ -236,7 +237,7 @@ BINS = 120
 
 
 def curve_like(log_exposure, covariance, *, bits=12):
-    """A response of a few codes with a stated error; noise of pixels is small."""
+    """Return a response of a few codes with a stated error and small pixel noise."""
     bins = code_bins(bits, 0.0, 2.0**bits - 1, count=BINS)
     return SimpleNamespace(
         bins=bins,
@@ -251,8 +252,8 @@ def curve_like(log_exposure, covariance, *, bits=12):
 
 
 @pytest.mark.slow
-def test_departures_are_judged_by_the_error_of_all_codes_together():
-    """Curves of a pure gamma with errors of 3 %, that of neighbours alike."""
+def test_departures_are_judged_with_the_covariance_of_all_codes():
+    """The curves are a pure gamma with errors of 3 %, correlated between neighbours."""
     rng = np.random.default_rng(0)
     codes = code_bins(12, 0.0, 4095.0, count=BINS).centres
     log_z = np.log(codes)
@@ -275,12 +276,12 @@ def test_departures_are_judged_by_the_error_of_all_codes_together():
                 large += shape.size > 0.05
                 impure += shape.significant > 0
     assert large > 30
-    assert impure <= 3  # 0.6 expected
+    assert impure <= 3  # expected: 0.6
     assert bent >= 58
 
 
-def test_a_ripple_that_no_pixel_tells_fades_with_the_smoothness():
-    """No limit of smoothness beyond which three stops leave none."""
+def test_an_unidentifiable_ripple_decreases_with_smoothness():
+    """There is no limit of the smoothness where brackets three stops apart lose the ripple."""
     sizes = [ripple(np.array(BRACKET), smoothness) for smoothness in (30.0, 99.0, 101.0, 400.0)]
     assert sizes == pytest.approx([0.0374, 0.0374, 0.0372, 0.0187], abs=3e-4)
     assert ripple(np.array(FIVE), 30.0) == 0
@@ -291,7 +292,7 @@ DIM = ramp(120, 160, low=2.0, high=4000)  # DN above black in the longest exposu
 
 @pytest.fixture(scope="module", params=[0, 1])
 def dim(request):
-    """A linear camera with 1 DN of noise, its curve and its map over what is there."""
+    """Return a linear camera with 1 DN of noise, its curve and its map of the scene."""
     rng, times = np.random.default_rng(request.param), np.array([1 / 64, 1 / 16, 1 / 4, 1.0])
     codes = np.array(
         [shot(DIM * t, rng, black=64, read_noise=1, gain=0.25, top=4095) for t in times]
@@ -304,7 +305,8 @@ def dim(request):
 
 @pytest.mark.parametrize(("low", "high"), [(2.0, 2.5), (2.5, 4.0), (4.0, 8.0), (8.0, 20.0)])
 def test_radiance_of_dim_pixels_is_right_on_average(dim, low, high):
-    """Pixels above black alone made it 1.5 to 6 times too high below 4 DN."""
+    """If only pixels above black were used, the radiance below 4 DN would be 1.5 to 6 times too
+    high."""
     _, _, ratio = dim
     within = (low <= DIM) & (high > DIM)
     error = ratio[within].std() / np.sqrt(within.sum())
@@ -320,8 +322,8 @@ def test_codes_below_black_are_exposures_below_zero(dim):
     np.testing.assert_allclose(exposure[64 + 40] / exposure[64 + 20], 2, rtol=0.03)
 
 
-def test_left_aligned_numbers_have_the_curve_of_their_codes():
-    """12 bits at the upper end of 16: every number a multiple of 16, the largest 65520."""
+def test_left_aligned_numbers_give_the_curve_of_their_codes():
+    """12 bits are in the upper bits of 16, so every number is a multiple of 16, up to 65520."""
     rng = np.random.default_rng(4)
     light = ramp(60, 80, low=100, high=8000)
     codes = [shot(light * t, rng, black=60, gain=0.25, top=4095) for t in (1 / 16, 1 / 4, 1.0)]
@@ -372,12 +374,12 @@ def test_a_photograph_of_another_iso_speed_is_left_out(tmp_path):
     )
 
 
-def test_photographs_of_two_iso_speeds_are_for_the_user_to_choose(tmp_path):
+def test_photographs_of_two_iso_speeds_are_left_to_the_user(tmp_path):
     with pytest.raises(InputError, match=r"ISO 100, those of p\d\.jpg ISO 800. Keep frames"):
         read_exposure_stack(write_photographs(tmp_path, [100, 800, 100, 800]))
 
 
-def test_the_word_of_the_command_is_answered():
+def test_the_printed_command_option_is_accepted():
     codes = np.random.default_rng(5).integers(1, 200, (2, 20, 20))
     stack = from_stack(codes, (0.5, 1.0), camera=Camera(bits=8))
     for one in (calibrate, noise.calibrate, joint.calibrate, reflectance.calibrate, of_files):
@@ -395,7 +397,7 @@ def test_a_16_bit_file_may_be_left_aligned_for_init(tmp_path):
 
 
 def seen_in_part(decode, low, high, seed=0):
-    """A curve from pixels of codes between two shares of 8 bits alone, and the truth."""
+    """Return a curve from pixels of codes between two shares of 8 bits, and the true curve."""
     rng, times = np.random.default_rng(seed), np.array([0.25, 0.5, 1.0])
     share = np.linspace(0, 1, 100_001)
     ends = decode(np.array([low, high]))
@@ -415,9 +417,9 @@ def film(u):
 
 
 @pytest.mark.parametrize("decode", [srgb, film, lambda u: u**2.2])
-def test_codes_that_were_not_seen_are_within_their_band(decode):
-    """From the brighter half alone: errors at code 17 were .98 and 1.23 in ln exposure in bands of
-    .56 and .70, because smoothness was the only prior."""
+def test_codes_that_were_not_seen_are_within_their_interval(decode):
+    """The pixels are only of the brighter half. With smoothness as the only prior, errors at code
+    17 were .98 and 1.23 in ln exposure, with intervals of .56 and .70."""
     curve, truth = seen_in_part(decode, 0.45, 0.95)
     gap = curve.log_exposure - truth
     gap -= np.median(gap[curve.seen])
@@ -425,18 +427,18 @@ def test_codes_that_were_not_seen_are_within_their_band(decode):
     assert below.sum() > 90
     assert (np.abs(gap[below]) < curve.half_width[below]).all()
     assert np.abs(gap[curve.codes == 17]).max() < 0.8
-    # It grows toward black, but for two codes beside the end of the light.
+    # The width grows towards black, except for two codes at the end of the light.
     assert (np.diff(curve.half_width[below][:-2]) < 0).all()
 
 
 def s_shaped(u):
-    """Hill's curve, of an exponent of 1.65."""
+    """Return Hill's curve with an exponent of 1.65."""
     return (0.05 * u / (1.05 - u)) ** (1 / 1.65)
 
 
 @pytest.mark.parametrize("decode", [film, s_shaped])
-def test_codes_brighter_than_those_seen_are_within_their_band(decode):
-    """Smoothness alone held 57 and 42 % of these codes."""
+def test_codes_brighter_than_those_seen_are_within_their_interval(decode):
+    """With smoothness alone, 57 and 42 % of these codes were inside."""
     curve, truth = seen_in_part(decode, 0.1, 0.6)
     gap = curve.log_exposure - truth
     gap -= np.median(gap[curve.seen])
@@ -447,8 +449,9 @@ def test_codes_brighter_than_those_seen_are_within_their_band(decode):
 
 
 @pytest.mark.slow
-def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
-    """Each kind is predicted from the others: 95 % cover codes 8 to 60 in 94 % or more."""
+def test_a_curve_outside_the_family_is_within_the_interval(monkeypatch):
+    """Each type of curve is predicted from the others, and 95 % intervals cover codes 8 to 60 in at
+    least 94 %."""
     bins, rng = code_bins(8, 0.0, 255.0), np.random.default_rng(0)
     shares = tuple((bins.centres - bins.black) / bins.full_scale)
     kinds = beyond._family(shares)
@@ -465,9 +468,9 @@ def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
         assert np.mean(np.abs(z) < 1.96) >= 0.9
 
 
-def test_the_band_allows_for_light_that_ends():
-    """What is seen at the end comes from further in: film was off by .1 at code 25 and below, in
-    bands of .04."""
+def test_the_interval_allows_for_an_end_of_the_light():
+    """The extrapolation uses codes inside the observed range. For film, the error was .1 at code 25
+    and below, with intervals of .04."""
     curve, truth = seen_in_part(film, 0.1, 0.6, seed=1)
     gap = curve.log_exposure - truth
     gap -= np.median(gap[curve.seen])
@@ -476,16 +479,16 @@ def test_the_band_allows_for_light_that_ends():
 
 
 @pytest.mark.parametrize("exponent", [1.8, 2.2])
-def test_a_pure_gamma_goes_on(exponent):
-    """The mean of the family drew code 17 of gamma 2.2 up by .46."""
+def test_a_pure_gamma_is_extrapolated(exponent):
+    """The mean of the family would raise code 17 of gamma 2.2 by .46."""
     curve, truth = seen_in_part(lambda u: u**exponent, 110 / 255, 243 / 255, seed=1)
     gap = curve.log_exposure - truth
     gap -= np.median(gap[curve.seen])
     assert abs(gap[curve.codes == 17]) < 0.15
 
 
-def test_a_curve_of_no_kind_of_the_family_is_within_the_band():
-    """S-shaped and a gamma at black; a sum of powers; a tangent."""
+def test_a_curve_unlike_the_family_is_within_the_interval():
+    """The curves are a gamma with an S shape, a sum of powers, and a tangent."""
     bins, rng = code_bins(8, 0.0, 255.0), np.random.default_rng(1)
     u, seen = bins.centres / 255, (bins.centres >= 80) & (bins.centres <= 220)
     sine = np.sin(np.pi * u / 2)
@@ -498,7 +501,8 @@ def test_a_curve_of_no_kind_of_the_family_is_within_the_band():
 
 
 def hand_held(moves, seed=0):
-    """Codes of a textured scene under four exposures, moved by rows and columns in each."""
+    """Return codes of a textured scene under four exposures, shifted by rows and columns in
+    each."""
     rng = np.random.default_rng(seed)
     light = 0.3 * np.exp(5 * gaussian_filter(rng.standard_normal((96, 128)), 1.5))
     images = []
@@ -510,7 +514,7 @@ def hand_held(moves, seed=0):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_exposure_that_moved_is_named_with_its_shift(seed):
-    """Its pixels were taken for those of the other exposures, without a word."""
+    """An earlier version used its pixels as those of the same points, without a message."""
     camera, still = Camera(bits=8), (0, 0)
     stack = from_stack(hand_held([still] * 4, seed), FIVE[1:], camera=camera)
     assert len(stack.planes[0].files) == 4
@@ -526,7 +530,7 @@ def test_an_exposure_that_moved_is_named_with_its_shift(seed):
 
 @pytest.mark.slow
 def test_exposures_that_moved_by_a_pixel_are_moved_back():
-    """The curve was off by 10 % where its error was given as 1 %, without a word."""
+    """An earlier version had an error of 10 % where it stated 1 %, without a message."""
     camera, moves = Camera(bits=8), [(0, 0), (0, 1), (1, 0), (-1, 0)]
     stack = from_stack(hand_held(moves), FIVE[1:], camera=camera)
     (said,) = [sentence for sentence in stack.remarks if "moved back" in sentence]
@@ -540,7 +544,7 @@ def test_exposures_that_moved_by_a_pixel_are_moved_back():
 
 @pytest.mark.slow
 def test_an_unstated_black_level_does_not_change_the_exposure_times():
-    """They became 1/64 s and so on, by which the images disagreed less."""
+    """An earlier version changed them to 1/64 s and so on, for a smaller misfit."""
     times = [1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1]
     light = ramp(120, 120, low=0.03, high=3)
     rng, images = np.random.default_rng(4), []
@@ -558,7 +562,7 @@ def test_a_stack_that_moved_throughout_is_refused():
 
 
 def test_a_stack_that_never_reaches_mid_scale_has_a_curve():
-    """It was refused whatever it showed."""
+    """An earlier version refused such a stack."""
     curve, truth = seen_in_part(lambda u: u**2.2, 0.08, 0.45)
     assert curve.bins.anchor is not None
     seen = curve.seen & (curve.codes > 30)
@@ -568,7 +572,7 @@ def test_a_stack_that_never_reaches_mid_scale_has_a_curve():
 
 
 def linear_channel(black, codes):
-    """A linear response that is known exactly, relative to code 1064."""
+    """Return a linear response without errors, relative to code 1064."""
     above = codes - black
     width = np.diff(codes)[0]
     curve = SimpleNamespace(
@@ -621,8 +625,8 @@ def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
 
 
 @pytest.mark.slow
-def test_of_an_image_next_to_the_end_of_a_stack_none_beside_it_is_blamed():
-    """The ninth of ten halving exposures at twice the gain."""
+def test_a_neighbour_of_a_deviating_image_is_not_blamed():
+    """The ninth of ten halving exposures has twice the gain."""
     rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
     times, gains = 2.0 ** np.arange(-9, 1), np.where(np.arange(10) == 8, 2, 1)
     images = [
@@ -634,8 +638,9 @@ def test_of_an_image_next_to_the_end_of_a_stack_none_beside_it_is_blamed():
 
 
 @pytest.mark.slow
-def test_a_time_that_no_shutter_explains_is_named():
-    """The first of ten halving exposures is stated as long as the second: 1/2 of what it had."""
+def test_a_time_outside_the_tolerance_of_shutters_is_named():
+    """The first of ten halving exposures is stated to be as long as the second, so half as long as
+    it was."""
     rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
     times = 2.0 ** np.arange(-9, 1)
     images = [shot(light * t, rng, black=64, read_noise=2, top=4095) for t in times]
@@ -648,8 +653,8 @@ def test_a_time_that_no_shutter_explains_is_named():
 
 
 @pytest.mark.slow
-def test_black_that_is_uncertain_as_stated_leaves_the_curve_right():
-    """Black off by one of its errors bends a pure gamma."""
+def test_a_black_level_with_a_stated_error_gives_the_right_curve():
+    """A black level that is wrong by one standard deviation bends a pure gamma."""
     off = CASES["black off by 1 DN, as stated"]
     bright = slice(NAMES.index("ln X at code 190"), NAMES.index("gamma"))
     found = np.concatenate([places(off, seed)[bright] for seed in (25, 51)])
@@ -657,7 +662,7 @@ def test_black_that_is_uncertain_as_stated_leaves_the_curve_right():
 
 
 def plane(codes, *, black=0.0, measured=False):
-    """A grey channel of eight exposures."""
+    """Return a grey channel of eight exposures."""
     exposures = 2.0 ** np.arange(8)
     return [
         SimpleNamespace(
@@ -674,8 +679,8 @@ def plane(codes, *, black=0.0, measured=False):
     ]
 
 
-def test_a_black_level_that_is_assumed_is_told_with_the_lowest_code():
-    """Video range: codes 16 to 235 of a gamma of 2.2."""
+def test_an_assumed_black_level_is_reported_with_the_lowest_code():
+    """The codes have video range, 16 to 235, with a gamma of 2.2."""
     light = ramp(40, 40, low=1e-3, high=1.0)
     video = np.array([16 + np.round(219 * np.minimum(light * t, 1) ** (1 / 2.2)) for t in FIVE])
     said = _black_in_words(plane(video))
@@ -689,13 +694,13 @@ def test_black_points_of_each_image_are_named():
     light = ramp(40, 40, low=1e-2, high=1.0)
     whole = np.array([np.round(2e5 * (light * t) ** (1 / 2.2)) for t in 2.0 ** np.arange(8)])
     own = whole - whole.min(axis=(1, 2), keepdims=True)
-    own[:, 1:, 0] += 1  # of one row alone
+    own[:, 1:, 0] += 1  # in one row only
     assert "lowest code of every image is 0, although the exposures differ by a factor of 128" in (
         _own_blacks_in_words(plane(own))
     )
     assert _own_blacks_in_words(plane(whole)) == ""
     assert _own_blacks_in_words(plane(own, measured=True)) == ""
-    for error, named in ((0.07, True), (0.00035, False)):  # of black points, and of good shutters
+    for error, named in ((0.07, True), (0.00035, False)):  # wrong black points, and good shutters
         (channel,) = plane(own)
         times = channel.plane.exposures
         channel.curve = SimpleNamespace(
@@ -735,7 +740,8 @@ def test_times_as_printed_that_were_kept_are_left_alone():
 
 
 def decoded(red, green, blue):
-    """Codes of a JPEG picture whose only loss is that of its three rounded numbers (T.871)."""
+    """Return the codes of a JPEG picture that is lossless except for its rounded Y, Cb and Cr
+    (T.871)."""
     y, cb, cr = (
         np.rint(part)
         for part in (
@@ -748,8 +754,8 @@ def decoded(red, green, blue):
     return [np.rint(one).clip(0, 255).astype(np.uint16) for one in found]
 
 
-def test_pixels_of_one_hue_share_the_rounding_of_jpeg():
-    """Rounding of the three numbers alone, against the codes without any."""
+def test_pixels_of_one_hue_share_jpegs_rounding_errors():
+    """The reference compares codes with and without the rounding of the three components."""
     ramp = 255 * np.linspace(0.05, 0.98, 60_000).reshape(6, 100, 100)
     hue = 1.0, 0.8, 0.6
     codes = decoded(*(factor * ramp for factor in hue))
@@ -770,7 +776,7 @@ def test_pixels_of_one_hue_share_the_rounding_of_jpeg():
 
 
 def jpeg_of_one_hue(seed, quality, subsampling, full_well):
-    """A stack of a smooth scene, whose colours are in proportion."""
+    """Return a stack of a smooth scene with proportional colours."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:96, :128] / 128 - 0.4
     angle, bend = rng.uniform(0, 2 * np.pi), rng.uniform(-4, 4, 2)
@@ -795,8 +801,9 @@ def srgb_code(x):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("quality", "subsampling", "full_well"), [(95, 0, 0), (90, 2, 4000)])
-def test_bands_of_jpegs_of_one_hue_cover_the_curve(quality, subsampling, full_well):
-    """Twenty stacks; before, 53 and 76 % of the codes lay within their 95 % band."""
+def test_intervals_of_jpegs_of_one_hue_cover_the_curve(quality, subsampling, full_well):
+    """Earlier, 53 and 76 % of the codes were within their 95 % interval. The test uses twenty
+    stacks."""
     inside = []
     for seed in range(20):
         images = jpeg_of_one_hue(seed, quality, subsampling, full_well)
@@ -829,7 +836,8 @@ def test_images_that_were_toned_to_one_brightness_are_refused(toned):
 
 @pytest.mark.parametrize(("power", "said"), [(1.06, True), (1.002, False)])
 def test_a_white_balance_that_follows_the_exposure_is_named(power, said):
-    """Red exposures are a power of green ones, blue ones are equal; all known to half a percent."""
+    """Red exposures are a power of the green ones, and blue ones are equal, all within half a per
+    cent."""
     codes = np.arange(10.0, 240.0)
     g, known = 2.2 * np.log(codes / 128), np.full(codes.size, 0.005)
 
@@ -851,7 +859,8 @@ STOPS = tuple(2.0 ** -(9 - i) for i in range(8))
 
 
 def eight_bits(light, seed):
-    """Codes of gamma 2.2 of eight exposures; `light` is that of each image at one second."""
+    """Return codes with gamma 2.2 of eight exposures, where `light` is each image's light in one
+    second."""
     rng, codes = np.random.default_rng(seed), []
     for time, one in zip(STOPS, light, strict=True):
         electrons = rng.poisson(4e4 * one * time) + rng.normal(0, 8, np.shape(one))
@@ -910,8 +919,9 @@ def test_something_that_moves_in_a_bracket_is_named():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("moved", [False, True])
-def test_shot_noise_of_a_linear_stack_is_no_motion(moved):
-    """Bright pixels are 2 DN noisy, most are dark; and the same with a body in one image."""
+def test_shot_noise_of_a_linear_stack_is_not_taken_for_motion(moved):
+    """Bright pixels have 2 DN of noise, and most are dark. In a second case a body is in only one
+    image."""
     rng, (row, column) = np.random.default_rng(0), np.mgrid[:80, :120]
     patches = np.kron(np.random.default_rng(1).standard_normal((8, 12)), np.ones((10, 10)))
     light = 300 * np.exp(np.log(300) * column / 119 + 0.5 * patches)
@@ -925,13 +935,13 @@ def test_shot_noise_of_a_linear_stack_is_no_motion(moved):
 
 
 @pytest.mark.parametrize(("value", "said"), [(1.0, False), (1.12, False), (2.2, True)])
-def test_tone_mapping_by_the_surroundings_is_named_for_encoded_pictures(value, said):
+def test_local_tone_mapping_is_named_for_encoded_pictures(value, said):
     one = SimpleNamespace(value=value, standard_error=0.01)
     assert bool(_local_in_words([SimpleNamespace(gamma=SimpleNamespace(gamma=one))])) == said
 
 
 @pytest.mark.slow
-def test_tone_mapping_by_the_surroundings_shows_in_no_image():
+def test_local_tone_mapping_is_invisible_in_single_images():
     """A power of the local mean makes gamma 2.2 look like 2.2 / (1 - strength) in each pixel."""
     rng, strength = np.random.default_rng(0), 0.136
     places = np.kron(rng.standard_normal((6, 8)), np.ones((10, 10)))

@@ -1,4 +1,5 @@
-"""Frames that do not belong are named and left out, and what remains gives the camera."""
+"""Tests that frames that do not belong are named and left out, and that the others give the
+camera."""
 
 import io
 from fractions import Fraction
@@ -29,7 +30,7 @@ TIMES = np.linspace(0.0005, 0.02, 14)
 
 
 def frame(electrons, seed):
-    """(64, 64) of 12 bits."""
+    """Return a 12-bit frame, (64, 64)."""
     rng = np.random.default_rng(seed)
     counted = rng.poisson(electrons, (64, 64)) + rng.normal(0, READ_NOISE, (64, 64))
     return np.clip(np.round(GAIN * counted + BLACK), 0, FULL).astype(np.uint16)
@@ -44,7 +45,7 @@ def read(flats=FLATS, darks=DARKS):
 
 
 def put(frames, **by_place):
-    """The frames with those of `l6_1` and the like changed."""
+    """Return the frames with those named by `l6_1` and the like replaced."""
     changed = [list(level) for level in frames]
     for place, image in by_place.items():
         level, i = place[1:].split("_")
@@ -56,7 +57,7 @@ WHITE = np.full((64, 64), FULL, np.uint16)
 
 
 def hand(image):
-    """Covered by a hand in a corner; no pixel brighter."""
+    """Return the image with a corner covered by a hand. No pixel is brighter."""
     covered = image.astype(float)
     covered[:16, :20] = BLACK + 0.4 * (covered[:16, :20] - BLACK)
     return covered.round().astype(np.uint16)
@@ -91,7 +92,7 @@ def test_a_flickering_lamp_is_no_bad_frame(spread):
         (FLATS[7][1], "its mean is"),
     ],
 )
-def test_a_flat_that_does_not_belong_is_named_and_its_level_goes(image, words):
+def test_a_deviating_flat_is_named_and_its_level_left_out(image, words):
     measured = read(put(FLATS, l6_1=image))
     first, second = measured.bright.left_out
     assert first.startswith("flats[6][1] was left out: ")
@@ -111,7 +112,7 @@ def test_a_flat_that_does_not_belong_is_named_and_its_level_goes(image, words):
     ],
 )
 @pytest.mark.sweep
-def test_of_five_frames_the_others_of_the_level_stay(image, words):
+def test_of_five_frames_only_the_deviating_one_is_left_out(image, words):
     five = [
         [*level, *(frame(x, 900 + 3 * i + k) for k in range(3))]
         for i, (level, x) in enumerate(zip(FLATS, ELECTRONS, strict=True))
@@ -123,7 +124,7 @@ def test_of_five_frames_the_others_of_the_level_stay(image, words):
 
 
 @pytest.mark.slow
-def test_gain_without_the_frame_is_the_camera_s():
+def test_the_gain_without_the_frame_is_the_cameras():
     found = calibrate(read(put(FLATS, l6_1=WHITE))).estimates["system_gain"]
     assert abs(found.value - GAIN) < 3 * found.standard_error
     assert found.standard_error < 0.004
@@ -158,7 +159,7 @@ def test_a_dark_with_light_is_named():
     assert second.startswith("darks[3][0] was left out: it is the only remaining frame")
 
 
-def test_frames_of_which_half_disagree_are_the_user_s_to_decide():
+def test_contradicting_halves_are_left_to_the_user():
     bad = [[a, np.full_like(a, FULL)] for a, _ in FLATS]
     with pytest.raises(InputError, match=r"half of its 28 frames.*flats\[0\].*Keep those"):
         read(bad)
@@ -189,7 +190,7 @@ def test_darks_without_the_offset_of_the_flats_are_refused():
 
 @pytest.mark.slow
 def test_a_bias_of_no_exposure_and_stray_light_are_read():
-    """Light of 300 electrons that enters at every exposure, also at none."""
+    """Stray light of 300 electrons enters in every exposure, including zero time."""
     lit = [0.0, *TIMES[1:]]
     stray = [[frame(300 + 4.5e5 * t, 60 + 2 * i + k) for k in (0, 1)] for i, t in enumerate(lit)]
     kept = [DARKS[0], *DARKS[1:]]
@@ -205,7 +206,7 @@ BRACKET = [1 / 64, 1 / 16, 1 / 4, 1, 4]
 
 
 def scene(seconds, seed=0):
-    """(60, 80) of a 12-bit linear camera: two decades of light and a pattern."""
+    """Return an image, (60, 80), of a 12-bit linear camera: two decades of light and a pattern."""
     patches = np.kron(np.random.default_rng(seed).standard_normal((6, 8)), np.ones((10, 10)))
     light = np.geomspace(1, 300, 80) * np.exp(0.5 * patches)
     rng = np.random.default_rng(int(1000 * seconds) + seed)
@@ -253,20 +254,20 @@ def test_a_saturated_image_is_named():
     assert told.startswith("images[4] was left out: every pixel is saturated")
 
 
-def test_two_images_that_contradict_each_other_are_the_user_s_to_decide():
+def test_two_contradicting_images_are_left_to_the_user():
     with pytest.raises(InputError, match=r"images\[1\] is darker than images\[0\].*Keep those"):
         stack(STACK[3:][::-1], [1, 4])
 
 
 def with_head(file, image, *, iso=100, seconds=1.0):
-    """An 8-bit JPEG whose EXIF says this."""
+    """Write an 8-bit JPEG with this EXIF."""
     exif = Image.Exif()
     time = IFDRational(Fraction(seconds).limit_denominator(1000))
     exif[0x8769] = {0x829A: time, 0x8827: iso}
     Image.fromarray(image).save(file, exif=exif, quality=100)
 
 
-def test_exposures_whose_heads_contradict_are_named(tmp_path):
+def test_exposures_with_contradicting_headers_are_named(tmp_path):
     entries = ["[camera]", "bits = 8"]
     for i, t in enumerate(BRACKET):
         image = np.clip(scene(t) / 16.0, 0, 255).round().astype(np.uint8)
@@ -282,7 +283,7 @@ def test_exposures_whose_heads_contradict_are_named(tmp_path):
     assert found.planes[0].files == ("0.jpg", "2.jpg", "4.jpg")
 
 
-def test_heads_of_two_gains_are_the_user_s_to_decide(tmp_path):
+def test_headers_of_two_gains_are_left_to_the_user(tmp_path):
     entries = ["[camera]", "bits = 8"]
     for i, iso in enumerate((100, 400)):
         image = np.clip(scene(BRACKET[i + 2]) / 16.0, 0, 255).round().astype(np.uint8)
@@ -311,8 +312,8 @@ def test_a_light_that_was_taken_at_another_gain_is_named(tmp_path):
     )
 
 
-def test_exposures_of_lights_that_differ_are_named(tmp_path):
-    """They stand in no entry of a light, so that its intensity includes them."""
+def test_different_exposures_of_lights_are_named(tmp_path):
+    """The rig's lights have no exposure time, so the estimated intensities include it."""
     entries = ["[camera]", "bits = 8", "[geometry]"]
     entries += ["sphere = { centre = [19.5, 19.5], radius = 18.0 }"]
     for i, toward in enumerate([(0.6, 0, 0.8), (-0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)]):
@@ -343,7 +344,7 @@ def test_a_flat_of_a_joint_measurement_that_does_not_belong_is_named():
 
 
 def enough(kind):
-    """Flats and darks of 64 x 64 pixels that something was done to."""
+    """Return flats and darks of 64 x 64 pixels that were processed in a given way."""
     rng = np.random.default_rng(4)
 
     def raw(electrons, gain=GAIN, black=BLACK, noise=READ_NOISE):
@@ -388,7 +389,7 @@ def measured_of(kind):
         ("denoised", "the frames of a level share noise, as after temporal denoising"),
     ],
 )
-def test_noise_that_was_processed_is_named(kind, words):
+def test_processed_noise_is_named(kind, words):
     measured = measured_of(kind)
     (told,) = processing_in_words(measured, linear_levels(measured))
     assert words in told
@@ -430,7 +431,7 @@ def test_saturation_and_light_that_is_stated_wrongly_are_no_tone_curve():
 
 
 def test_jpeg_files_are_named(tmp_path):
-    """Of a quality that leaves no blocks to be seen."""
+    """The JPEG quality is so high that no blocks are visible."""
     rng, text = np.random.default_rng(6), "[camera]\nbits = 8\n"
     for i, electrons in enumerate([0, *np.linspace(500, 9000, 8)]):
         kind = "flat" if electrons else "dark"
@@ -448,8 +449,8 @@ def test_jpeg_files_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("seed", [9, 28, 36, 46])
-def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
-    """Noise of rows, a tenth of a code as that of pixels, lifts a few rows."""
+def test_darks_with_almost_one_code_are_not_rejected(seed):
+    """Row noise of a tenth of a code, like that of pixels, raises a few rows."""
     rng, small = np.random.default_rng(seed), [0.1, 0.13, 0.16][seed % 3]
     seen = [
         [
@@ -464,8 +465,8 @@ def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
 
 @pytest.mark.parametrize("count", [5, 8])
 @pytest.mark.sweep
-def test_good_frames_of_a_flickering_lamp_are_not_called_smoothed(count):
-    """Of pixels that are unequal by a percent, under light that falls off toward the corners."""
+def test_good_frames_under_flicker_are_not_called_smoothed(count):
+    """The pixels have a PRNU of one per cent, and the light falls off towards the corners."""
     die = 1 + 0.01 * np.random.default_rng(99).standard_normal((64, 64))
     x = np.linspace(-1, 1, 64)
     die *= 1 - 0.2 * (x**2 + x[:, None] ** 2)
@@ -516,7 +517,8 @@ def test_a_level_of_too_much_variance_is_not_called_copied():
 
 
 def lit(change=None, flicker=0.0, seed=0, drift=0.0):
-    """What is left out of the flats of 14 levels, of which `change` changes some."""
+    """Return the frames that are left out of flats of 14 levels, some of which `change`
+    modifies."""
     rng = np.random.default_rng(seed)
     away = np.mgrid[:64, :64] / 64 - 0.5
     levels = []
@@ -538,7 +540,8 @@ def lit(change=None, flicker=0.0, seed=0, drift=0.0):
     ("flicker", "drift"), [(0.0, 0.0), (0.003, 0.0), (0.01, 0.0), (0.0, 2.0), (0.003, 6.0)]
 )
 def test_a_clean_camera_loses_no_frame(flicker, drift, seeds):
-    """Lamps that flicker, in shares of their light; black that drifts from frame to frame, DN."""
+    """The lamps flicker by a share of their light, or the black level drifts from frame to frame,
+    in DN."""
     found = [lit(flicker=flicker, drift=drift, seed=seed) for seed in seeds]
     assert [odd.sentence for own in found for odd in own] == []
 
@@ -552,7 +555,7 @@ def test_a_lamp_that_changed_in_one_frame_is_named(size):
 
 @pytest.mark.parametrize("place", [6, 13])
 @pytest.mark.parametrize("depth", [0.05, 0.3])
-def test_a_soft_shadow_is_said_of_its_level_alone(place, depth):
+def test_a_soft_shadow_is_reported_for_its_level_only(place, depth):
     def shadow(i, k, y, x):
         return 1 - depth * np.exp(-((x - 0.2) ** 2 + y**2) / 0.02) * (i == place)
 
@@ -563,8 +566,8 @@ def test_a_soft_shadow_is_said_of_its_level_alone(place, depth):
 
 @pytest.mark.parametrize("place", [2, 6, 11])
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_level_whose_time_is_off_is_named(place, factor):
-    """By less than its neighbours are away, so that the order stays."""
+def test_a_level_with_a_wrong_exposure_time_is_named(place, factor):
+    """The change is smaller than the step to the neighbouring levels, so the order is unchanged."""
     (odd,) = lit(lambda i, k, y, x: factor if i == place else 1.0, flicker=0.001)
     assert odd.names == (f"{place}_0", f"{place}_1")
     told = float(odd.reason.removeprefix("the signal is ").split()[0])
@@ -572,6 +575,6 @@ def test_a_level_whose_time_is_off_is_named(place, factor):
     assert "its exposure time (or its light) is not the stated one" in odd.reason
 
 
-def test_a_camera_that_bends_keeps_its_levels():
+def test_a_nonlinear_camera_keeps_its_levels():
     bent = [1 - 0.15 * t / TIMES[-1] for t in TIMES]
     assert lit(lambda i, k, y, x: bent[i]) == []

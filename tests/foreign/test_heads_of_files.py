@@ -1,4 +1,5 @@
-"""Heads that other programs write: lengths, scales and black levels are used, named or refused."""
+"""Tests headers written by other programs: lengths, scales and black levels are used, named or
+refused."""
 
 import re
 import struct
@@ -27,7 +28,7 @@ CODES = (np.arange(12).reshape(3, 4) * 300 + 7).astype(">u2")
         (b"Pf\n4 3\n-1.0", np.linspace(1, 2, 12, dtype="<f4").reshape(3, 4)),
     ],
 )
-def test_a_head_of_netpbm_ends_where_its_line_ends(ending, head, pixels, tmp_path):
+def test_a_netpbm_header_ends_with_its_line(ending, head, pixels, tmp_path):
     stored = pixels[::-1] if head.startswith(b"Pf") else pixels
     suffix = ".pfm" if head.startswith(b"Pf") else ".pgm"
     file = tmp_path / f"picture{suffix}"
@@ -43,7 +44,7 @@ def test_a_head_of_netpbm_ends_where_its_line_ends(ending, head, pixels, tmp_pat
 
 
 def test_floating_numbers_of_a_dng_are_refused(tmp_path):
-    """LibRaw scales them to 16383 by the brightest of each file."""
+    """LibRaw scales them so that the brightest of each file is 16383."""
     file = tmp_path / "merged.dng"
     file.write_bytes(dng(np.full((32, 32), 500, np.uint16), more=[(339, 3, [3])]))
     with pytest.raises(InputError, match="floating numbers, which LibRaw scales"):
@@ -61,8 +62,8 @@ def test_floating_numbers_of_a_dng_are_refused(tmp_path):
         (None, [(50714, 5, [(129, 2)])], 64.5),
     ],
 )
-def test_black_levels_that_a_mosaic_does_not_hold_are_named(black, more, level, tmp_path):
-    """LibRaw gives the mean of rows and columns, or the first sites."""
+def test_black_levels_beyond_a_mosaics_are_named(black, more, level, tmp_path):
+    """LibRaw gives the mean of rows and columns, or the first sites only."""
     file = tmp_path / "raw.dng"
     file.write_bytes(dng(np.full((32, 32), 500, np.uint16), black=black or (), more=more))
     with warnings.catch_warnings(record=True) as caught:
@@ -72,8 +73,8 @@ def test_black_levels_that_a_mosaic_does_not_hold_are_named(black, more, level, 
     assert len(named) == (level is None)
 
 
-def test_what_imagej_says_of_codes_is_named(tmp_path):
-    """Images with a sign are stored as codes from 0 with a calibration."""
+def test_imagejs_calibration_of_codes_is_named(tmp_path):
+    """Signed images are stored as codes from 0 with a calibration."""
     words = b"ImageJ=1.54f\ncf=0\nc0=-32768.0\nc1=1.0\nvunit=Gray Value\n\0"
     assert _warnings(_tiff(tmp_path, words)) == [
         "not used: its calibration by ImageJ (cf = 0, c0 = -32768.0, c1 = 1.0): the codes are as "
@@ -82,8 +83,8 @@ def test_what_imagej_says_of_codes_is_named(tmp_path):
     assert not _warnings(_tiff(tmp_path, b"ImageJ=1.54f\nunit=inch\n\0"))
 
 
-def test_what_gdal_says_of_numbers_is_named(tmp_path):
-    """Reflectances of satellites are codes with a scale, and a code of missing ones."""
+def test_gdals_scale_and_missing_values_are_named(tmp_path):
+    """Reflectances from satellites are codes with a scale and a code for missing values."""
     words = (
         b'<GDALMetadata><Item name="SCALE" sample="0" role="scale">0.0001</Item>'
         b'<Item name="OFFSET" sample="0" role="offset">-0.1</Item></GDALMetadata>\0'
@@ -123,7 +124,7 @@ def _warnings(file, pixels=((1, 2), (3, 4))):
 
 
 def _tiff(folder, words, more=(), *, count=1):
-    """Grey codes of 16 bits, 1 to 4, in two columns, with a description and more tags."""
+    """Write 16-bit grey codes 1 to 4 in two columns, with a description and more tags."""
     own = [
         (256, 3, 1, 2),
         (257, 3, 1, 2 // count),
@@ -146,8 +147,8 @@ def _tiff(folder, words, more=(), *, count=1):
 
 
 @pytest.mark.parametrize(("alpha", "named"), [(1, True), (2, False)])
-def test_colours_that_are_multiplied_by_alpha_are_named(alpha, named, tmp_path):
-    """Two files of the same codes whose half-covered white is twice as bright in one."""
+def test_premultiplied_colours_are_named(alpha, named, tmp_path):
+    """The same codes mean twice the brightness of half-covered white in one of the two files."""
     words = b"\0"
     tags = [(338, 3, 1, alpha), (262, 3, 1, 1), (277, 3, 1, 2)]
     told = _warnings(_tiff(tmp_path, words, tags, count=2), [[[1, 2], [3, 4]]])
@@ -155,7 +156,7 @@ def test_colours_that_are_multiplied_by_alpha_are_named(alpha, named, tmp_path):
 
 
 def _png(*chunks):
-    """A grey PNG of 2 x 3 codes, with chunks before its pixels."""
+    """Return a grey PNG of 2 x 3 codes, with chunks before its pixels."""
     head = struct.pack(">IIBBBBB", 3, 2, 8, 0, 0, 0, 0)
     rows = zlib.compress(b"".join(b"\0" + bytes([10 * i, 20, 30]) for i in range(2)))
     parts = [(b"IHDR", head), *chunks, (b"IDAT", rows), (b"IEND", b"")]
@@ -181,7 +182,7 @@ def _png(*chunks):
         ((b"sCAL", b""), None),
     ],
 )
-def test_what_a_png_says_of_its_numbers_is_named(chunk, words, tmp_path):
+def test_chunks_of_a_png_about_its_numbers_are_named(chunk, words, tmp_path):
     file = tmp_path / "a.png"
     file.write_bytes(_png(chunk))
     with warnings.catch_warnings(record=True) as said:
@@ -192,7 +193,7 @@ def test_what_a_png_says_of_its_numbers_is_named(chunk, words, tmp_path):
 
 
 def _icc(primaries, curve, space=b"RGB "):
-    """A profile of a screen, with the XYZ of its primaries under D50 and one curve."""
+    """Return the profile of a screen from the XYZ of its primaries under D50 and one curve."""
     places = [
         b"XYZ \0\0\0\0" + struct.pack(">3i", *np.int32(np.array(p) * 65536)) for p in primaries
     ]
@@ -237,9 +238,7 @@ LINES = {  # u8Fixed8 exponents, a table, and a function
         (SRGB, "1.8", r"largest code is 0.29 of the light, where sRGB has 0.21\)"),
     ],
 )
-def test_colours_of_a_profile_that_are_not_those_of_srgb_are_named(
-    primaries, curve, words, suffix, tmp_path
-):
+def test_icc_profiles_other_than_srgb_are_named(primaries, curve, words, suffix, tmp_path):
     codes = np.full((16, 16, 3), 128, np.uint8)
     file = tmp_path / f"a.{suffix}"
     Image.fromarray(codes).save(file, icc_profile=_icc(primaries, LINES[curve]))
@@ -258,7 +257,7 @@ def test_colours_of_a_profile_that_are_not_those_of_srgb_are_named(
         ((b"cICP", (12, 13, 0, 1)), r"its primaries \(cICP: Display P3\)"),
     ],
 )
-def test_primaries_of_a_png_that_are_not_those_of_srgb_are_named(chunk, words, tmp_path):
+def test_primaries_of_a_png_other_than_srgb_are_named(chunk, words, tmp_path):
     name, numbers = chunk
     info, file = PngInfo(), tmp_path / "a.png"
     info.add(name, bytes(numbers) if name == b"cICP" else struct.pack(">8I", *numbers))

@@ -1,5 +1,5 @@
-"""Image files that other programs write: codes, channels, windows and parts as the file has them,
-by packers and formulas of their own."""
+"""Tests image files written by other programs, with independent packers and formulas: codes,
+channels, windows and parts are those of the file."""
 
 import re
 import struct
@@ -25,7 +25,8 @@ oiio = pytest.importorskip("OpenImageIO")
 
 
 def packed(codes, bits):
-    """Rows of (h, n) codes, the first bit first, each row from a whole byte on (TIFF 6.0)."""
+    """Return rows of codes, (h, n), with the first bit first and each row starting at a whole byte
+    (TIFF 6.0)."""
     rows = []
     for row in codes:
         digits = "".join(format(int(code), f"0{bits}b") for code in row)
@@ -37,7 +38,7 @@ def packed(codes, bits):
 def write_tiff(
     path, codes, bits, *, photometric=1, tags=(), data=None, order=">", pages=1, subfile=0
 ):
-    """A TIFF of one sample a pixel, packed by hand; every page holds the same."""
+    """Write a TIFF of one sample per pixel, byte by byte. All pages have the same content."""
     height, width = np.shape(codes)
     data = packed(codes, bits) if data is None else data
     out = (b"MM" if order == ">" else b"II") + struct.pack(order + "HI", 42, 8 + len(data)) + data
@@ -75,9 +76,9 @@ def write_tiff(
 
 
 def write_with_directory(path, codes, bits, tag, entries, *, tags=(), subfile=0):
-    """A TIFF with a second directory, to which a tag of the first points."""
+    """Write a TIFF with a second directory, to which a tag of the first points."""
     at = 0
-    for _ in range(2):  # the second time with the place known
+    for _ in range(2):  # the second time its offset is known
         write_tiff(path, codes, bits, tags={**dict(tags), tag: (4, [at])}, subfile=subfile)
         at = Path(path).stat().st_size
     table = struct.pack(">H", len(entries))
@@ -90,7 +91,7 @@ def write_with_directory(path, codes, bits, tag, entries, *, tags=(), subfile=0)
 
 
 def write_png(path, codes, depth, *, colour=0, chunks=()):
-    """A PNG packed by hand (ISO/IEC 15948)."""
+    """Write a PNG byte by byte (ISO/IEC 15948)."""
 
     def chunk(kind, content):
         check = zlib.crc32(kind + content)
@@ -105,7 +106,8 @@ def write_png(path, codes, depth, *, colour=0, chunks=()):
 
 
 def write_exr(path, names, *, shape=(4, 5), at=(0, 0), window=None, formats=(), title=""):
-    """Channels of an EXR, each its own number plus its place: `values` is what they hold."""
+    """Write an EXR whose channels are each their number plus the pixel's position, and return the
+    values."""
     height, width = shape
     spec = oiio.ImageSpec(width, height, len(names), "float")
     spec.channelnames = tuple(names)
@@ -144,7 +146,7 @@ def test_every_code_of_a_tiff_of_any_depth(tmp_path, bits, order):
     assert read_settings(tmp_path / "a.tif").bits == bits
 
 
-def test_a_tiff_that_says_nothing_of_its_depth_has_one_bit(tmp_path):
+def test_a_tiff_without_a_stated_depth_has_one_bit(tmp_path):
     codes = np.random.default_rng(0).integers(0, 2, (5, 11))
     write_tiff(tmp_path / "a.tif", codes, 1, tags={258: None})
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), codes)
@@ -156,28 +158,28 @@ def test_the_sensitivity_in_a_tiff_is_read(tmp_path, within):
     codes, file = np.zeros((2, 3), int), tmp_path / "a.tif"
     if within:
         write_with_directory(file, codes, 8, 34665, {34855: (3, 400)})
-    else:  # in the main directory, as TIFF/EP has it
+    else:  # in the main directory, as in TIFF/EP
         write_tiff(file, codes, 8, tags={34855: (3, [400])})
     assert read_settings(file).iso == 400
 
 
 @pytest.mark.parametrize("bits", [1, 4, 8, 12, 16])
 def test_white_as_zero_is_reversed_at_every_depth(tmp_path, bits):
-    """The decoder itself reverses up to 8 bits only."""
+    """OpenImageIO reverses only up to 8 bits."""
     codes = np.arange(2**bits).reshape(-1, min(2**bits, 256))
     data = codes.astype(">u2").tobytes() if bits == 16 else None
     write_tiff(tmp_path / "a.tif", codes, bits, photometric=0, data=data)
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), 2**bits - 1 - codes)
 
 
-def test_a_12_bit_tiff_fits_its_camera_and_no_deeper_one(tmp_path):
+def test_a_12_bit_tiff_needs_a_rig_of_12_bits(tmp_path):
     write_tiff(tmp_path / "dark.tif", [[64, 70, 4095]], 12)
     assert read_frame(tmp_path / "dark.tif", Camera(bits=12)).max() == 4095
     with pytest.raises(InputError, match=r"dark\.tif: 12-bit data, but the rig declares 14 bits"):
         read_frame(tmp_path / "dark.tif", Camera(bits=14))
 
 
-def test_frames_of_12_bits_are_no_photon_transfer_of_14(tmp_path):
+def test_frames_of_12_bits_are_refused_in_a_rig_of_14(tmp_path):
     rng, rig = np.random.default_rng(0), "[camera]\nbits = 14\n"
     for i, mean in enumerate([64, 300, 900, 1500, 2100]):
         names = [f"{i}_{k}.tif" for k in (0, 1)]
@@ -199,8 +201,8 @@ def test_every_code_of_a_grey_png(tmp_path, depth):
 
 
 @pytest.mark.parametrize("how", ["shifted", "repeated", "scaled"])
-def test_significant_bits_of_a_png_are_its_sources_codes(tmp_path, how):
-    """12 bits in 16, stretched in each of the ways that the specification allows (12.4)."""
+def test_significant_bits_of_a_png_give_the_original_codes(tmp_path, how):
+    """12 bits are stored in 16, in each of the ways that the specification allows (12.4)."""
     codes = np.arange(4096)
     stored = {
         "shifted": codes << 4,
@@ -212,7 +214,7 @@ def test_significant_bits_of_a_png_are_its_sources_codes(tmp_path, how):
     assert read_settings(tmp_path / "a.png").bits == 12
 
 
-def test_significant_bits_that_the_numbers_contradict_are_named(tmp_path):
+def test_significant_bits_that_contradict_the_numbers_are_named(tmp_path):
     stored = np.array([[5, 4095, 70]])
     write_png(tmp_path / "a.png", stored, 16, chunks=[(b"sBIT", b"\x0c")])
     with pytest.warns(UserWarning, match=r"its sBIT \(12 significant bits\) is not used"):
@@ -247,8 +249,8 @@ def test_inks_and_lab_are_refused(tmp_path, photometric):
         read_image(tmp_path / "a.tif")
 
 
-def test_formats_whose_codes_do_not_come_back_are_refused(tmp_path):
-    """A DPX of 10 bits, say, which OpenImageIO stretches to 16."""
+def test_formats_whose_codes_cannot_be_recovered_are_refused(tmp_path):
+    """OpenImageIO stretches a DPX of 10 bits to 16, for example."""
     spec = oiio.ImageSpec(4, 2, 3, "uint16")
     spec.attribute("oiio:BitsPerSample", 10)
     sink = oiio.ImageOutput.create(str(tmp_path / "a.dpx"))
@@ -295,7 +297,7 @@ def test_bitmaps_and_floats_of_netpbm(tmp_path):
         np.testing.assert_array_equal(read_image(tmp_path / "a.pfm"), values)
 
 
-def test_what_follows_a_netpbm_picture_is_named(tmp_path):
+def test_data_after_a_netpbm_picture_are_named(tmp_path):
     one = b"P5 2 1 255\n\x01\x02"
     (tmp_path / "a.pgm").write_bytes(one + one)
     with pytest.warns(UserWarning, match="13 bytes after its first picture are not used"):
@@ -322,7 +324,8 @@ def test_damaged_netpbm_is_one_sentence(tmp_path, content, reason):
 
 @pytest.mark.parametrize("corner", [0x00, 0x10, 0x20, 0x30])
 def test_tga_from_any_corner(tmp_path, corner):
-    """Bit 5 of the descriptor: rows from the top; bit 4: columns from the right."""
+    """Bit 5 of the descriptor says that rows start at the top, and bit 4 that columns start at the
+    right."""
     picture = np.random.default_rng(1).integers(0, 256, (3, 4, 3), np.uint8)
     stored = picture if corner & 0x20 else picture[::-1]
     stored = stored[:, ::-1] if corner & 0x10 else stored
@@ -334,7 +337,7 @@ def test_tga_from_any_corner(tmp_path, corner):
 @pytest.mark.parametrize(("depth", "size"), [(16, 2), (24, 3)])
 @pytest.mark.parametrize("palette", [False, True])
 def test_colours_of_a_tga_have_the_bits_of_the_file(tmp_path, palette, depth, size):
-    """5 bits a colour in 16, blue first, and 8 in 24; of pixels or of a palette."""
+    """Colours have 5 bits each in 16, blue first, or 8 in 24, in pixels or in a palette."""
     colours = np.array([[0, 1, 2], [31, 0, 7], [4, 31, 31], [9, 8, 30]])  # R, G, B
     if depth == 16:
         stored = (colours @ [1 << 10, 1 << 5, 1]).astype("<u2").tobytes()
@@ -370,7 +373,7 @@ def write_hdr(path, stored, *, head=b"", size=None):
 
 
 def value_of(stored):
-    """`colr_color` of Radiance's color.c."""
+    """Return values by `colr_color` of Radiance's color.c."""
     value = np.zeros((*stored.shape[:2], 3))
     for place in np.ndindex(stored.shape[:2]):
         *mantissas, exponent = map(int, stored[place])
@@ -389,7 +392,7 @@ RGBE = np.array(
 )
 
 
-def test_radiance_files_read_as_radiance_reads_them(tmp_path):
+def test_radiance_files_are_read_as_by_radiance(tmp_path):
     write_hdr(tmp_path / "a.hdr", RGBE)
     np.testing.assert_array_equal(read_image(tmp_path / "a.hdr"), value_of(RGBE).astype("f4"))
 
@@ -406,7 +409,7 @@ def test_no_light_is_lost_by_writing_and_reading_radiance(tmp_path):
 
 
 @pytest.mark.parametrize("value", [-0.5, np.nan, np.inf, 2.0**127, 3.3e38])
-def test_what_radiance_cannot_hold_is_not_written(tmp_path, value):
+def test_values_beyond_radiances_range_are_refused(tmp_path, value):
     light = np.ones((2, 3, 3), np.float32)
     light[1, 2, 0] = value
     with pytest.raises(InputError, match=r"1 values are negative, not finite, or .*; write EXR"):
@@ -438,8 +441,8 @@ def test_radiance_pictures_stand_upright(tmp_path, size, upright):
     np.testing.assert_allclose(read_image(tmp_path / "a.hdr"), upright(value_of(RGBE)), rtol=1e-6)
 
 
-def test_old_runs_of_radiance(tmp_path):
-    """A pixel 1, 1, 1, n repeats the one before n times, the next such n times 256."""
+def test_old_run_lengths_of_radiance(tmp_path):
+    """A pixel 1, 1, 1, n repeats the previous one n times, and a second such pixel n times 256."""
     stored = np.array([[[10, 20, 30, 129], [1, 1, 1, 3], [1, 1, 1, 1], [5, 6, 7, 128]]], np.uint8)
     write_hdr(tmp_path / "a.hdr", stored, size=b"-Y 1 +X 261")
     read = read_image(tmp_path / "a.hdr")
@@ -447,7 +450,7 @@ def test_old_runs_of_radiance(tmp_path):
     np.testing.assert_allclose(read[0, [0, 1, 259, 260]], ends[[0, 0, 0, 1]], rtol=1e-6)
 
 
-def test_what_radiance_heads_say_is_used_refused_or_named(tmp_path):
+def test_keys_of_radiance_headers_are_used_refused_or_named(tmp_path):
     write_hdr(tmp_path / "a.hdr", RGBE, head=b"PIXASPECT=2\n")
     with pytest.warns(UserWarning, match="pixels are not square"):
         read_image(tmp_path / "a.hdr")
@@ -485,7 +488,7 @@ def test_channels_of_an_exr_are_found_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("seed", [2**31 - 1, 2**32 - 1])
-def test_the_head_of_an_exr_holds_any_seed(tmp_path, seed):
+def test_the_header_of_an_exr_holds_any_seed(tmp_path, seed):
     file, block = tmp_path / "a.exr", np.ones((2, 2, 3), np.float32)
     write_blocks(file, [block], shape=block.shape, attributes={"seed": seed})
     assert int(oiio.ImageInput.open(str(file)).spec().getattribute("seed")) == seed
@@ -495,7 +498,7 @@ def test_the_head_of_an_exr_holds_any_seed(tmp_path, seed):
     ("layer", "called"), [("", "CIE X, Y and Z"), ("N.", r"N\.X, N\.Y and N\.Z")]
 )
 def test_xyz_is_named(layer, called, tmp_path):
-    """Three channels X, Y and Z of a layer are normals or places, not colours."""
+    """The channels X, Y and Z of a layer are normals or positions, not colours."""
     write_exr(tmp_path / "a.exr", [layer + name for name in "XYZ"])
     with pytest.warns(UserWarning, match=f"holds {called}, not R, G and B"):
         assert read_channels(tmp_path / "a.exr")[1] == ("X", "Y", "Z")
@@ -503,7 +506,7 @@ def test_xyz_is_named(layer, called, tmp_path):
 
 @pytest.mark.parametrize("count", [3, 12, 105])
 def test_many_channels_of_an_exr_keep_their_order(count, tmp_path):
-    """The format's own order is that of the alphabet, channel10 before channel4."""
+    """The format sorts channels alphabetically, with channel10 before channel4."""
     pixels = np.arange(2 * 3 * count, dtype=np.float32).reshape(2, 3, count)
     write_image(tmp_path / "a.exr", pixels)
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), pixels)
@@ -517,7 +520,7 @@ def test_bands_of_an_exr_are_in_the_order_of_their_wavelengths(tmp_path):
 @pytest.mark.parametrize("compression", ["dwaa", "dwab", "b44", "b44a", "zip", "piz", "pxr24"])
 @pytest.mark.parametrize("sample", ["half", "float"])
 def test_a_lossy_compression_is_named(compression, sample, tmp_path):
-    """Named wherever numbers come back otherwise than they were written, beyond 1e-4."""
+    """The compression is named if numbers change by more than 1e-4."""
     written = np.random.default_rng(0).uniform(0, 1, (64, 64, 3)).astype(np.float16)
     spec = oiio.ImageSpec(64, 64, 3, sample)
     spec.attribute("compression", compression)
@@ -578,7 +581,7 @@ def test_a_grey_gif_is_grey(tmp_path):
         ("a.jpg", (1, 65536), "JPEG holds at most 65535 rows and columns"),
     ],
 )
-def test_what_a_format_cannot_hold_is_said(tmp_path, name, shape, reason):
+def test_losses_of_a_format_are_named(tmp_path, name, shape, reason):
     with pytest.raises(InputError, match=reason):
         write_image(tmp_path / name, np.zeros(shape, np.uint8))
 
@@ -595,8 +598,8 @@ def test_layers_of_an_exr_are_chosen_by_name(tmp_path):
         read_image(tmp_path / "a.exr", part="rihgt")
 
 
-def test_numbers_of_objects_are_no_light(tmp_path):
-    """Whole numbers beside colours, which OpenImageIO would divide by 4294967295."""
+def test_object_numbers_are_not_light(tmp_path):
+    """OpenImageIO would divide integers by 4294967295, like those beside colours."""
     write_exr(tmp_path / "a.exr", ["R", "G", "B", "id"], formats=["half"] * 3 + ["uint"])
     with pytest.warns(UserWarning, match="channel id is not used"):
         assert read_image(tmp_path / "a.exr").shape == (4, 5, 3)
@@ -626,8 +629,8 @@ def test_a_data_window_keeps_its_place(tmp_path):
         read_image(tmp_path / "d.exr")
 
 
-def test_primaries_that_are_not_those_of_srgb_are_named(tmp_path):
-    """Those of ACES, in which red is another colour."""
+def test_primaries_other_than_srgbs_are_named(tmp_path):
+    """The primaries are those of ACES, whose red is another colour."""
     spec = oiio.ImageSpec(4, 2, 3, "float")
     aces = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
     spec.attribute("chromaticities", "float[8]", aces)
@@ -681,7 +684,7 @@ def test_parts_of_an_exr_are_named_and_chosen(tmp_path):
         read_image(file, part=2)
 
 
-def test_a_smaller_copy_before_the_picture_is_passed_over(tmp_path):
+def test_a_smaller_copy_before_the_picture_is_skipped(tmp_path):
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffWriter(tmp_path / "a.tif") as sink:
         sink.write(np.zeros((4, 4), np.uint8), subfiletype=1)
@@ -750,7 +753,7 @@ def test_animations_and_gain_maps_are_named(tmp_path):
         read_image(tmp_path / "b.jpg")
 
 
-def test_a_mosaic_in_tiff_tells_its_phase(tmp_path):
+def test_a_mosaic_in_tiff_gives_its_phase(tmp_path):
     tags = {33421: (3, [2, 2]), 33422: (1, [1, 0, 2, 1])}
     write_tiff(tmp_path / "a.tif", np.eye(4), 8, photometric=32803, tags=tags)
     assert read_settings(tmp_path / "a.tif").pattern == "GRBG"
@@ -759,7 +762,7 @@ def test_a_mosaic_in_tiff_tells_its_phase(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-def test_inspect_heads_channels_by_what_they_are(tmp_path, capsys):
+def test_inspect_labels_channels_by_their_meaning(tmp_path, capsys):
     from typer.testing import CliRunner
 
     from jaxvision.cli import app
@@ -813,7 +816,8 @@ def test_bands_that_no_filter_uses_are_named(tmp_path):
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 @pytest.mark.parametrize(("kind", "speed"), [(1, 204800), (2, 102400), (3, 51200), (7, 102400)])
 def test_a_sensitivity_beyond_16_bits_is_read(tmp_path, suffix, kind, speed):
-    """EXIF 2.3: 65535 stands for that and more, and 0x8830 says which tag of 32 bits has it."""
+    """By EXIF 2.3, 65535 stands for this value and more, and 0x8830 says which 32-bit tag has
+    it."""
     spec = oiio.ImageSpec(4, 4, 3, "uint8")
     for name, value in (
         ("PhotographicSensitivity", 65535),
@@ -843,7 +847,7 @@ def test_a_sensitivity_of_65535_or_more_is_named(tmp_path):
         assert read_settings(file).iso is None
 
 
-def test_an_exr_holds_every_number_or_is_not_written(tmp_path):
+def test_an_exr_keeps_every_number_or_is_refused(tmp_path):
     file = tmp_path / "a.exr"
     held = np.array([[[-3.5], [np.nan], [np.inf], [-np.inf], [1e-60], [3.4e38]]])
     write_blocks(file, [held], shape=held.shape)
@@ -866,7 +870,7 @@ def test_an_exr_holds_every_number_or_is_not_written(tmp_path):
 
 
 @pytest.mark.parametrize("head", [b"PF4\n8 6\n-1.0\n", b"P58 6\n255\n"])
-def test_letters_of_netpbm_end_in_white_space(tmp_path, head):
+def test_text_numbers_of_netpbm_end_in_white_space(tmp_path, head):
     file = tmp_path / "a.pfm"
     file.write_bytes(head + bytes(8 * 6 * 16))
     with pytest.raises(InputError, match=f"begins with b'{head[:3].decode()}'"):
@@ -874,7 +878,7 @@ def test_letters_of_netpbm_end_in_white_space(tmp_path, head):
 
 
 @pytest.mark.parametrize("scale", ["0", "-0.0", "nan", "-inf"])
-def test_a_pfm_whose_scale_gives_no_order_of_bytes_is_refused(tmp_path, scale):
+def test_a_pfm_whose_scale_gives_no_byte_order_is_refused(tmp_path, scale):
     (tmp_path / "a.pfm").write_bytes(f"Pf\n1 1\n{scale}\n".encode() + np.float32(1).tobytes())
     with pytest.raises(InputError, match=r"its scale is .*, whose sign should give the order"):
         read_image(tmp_path / "a.pfm")

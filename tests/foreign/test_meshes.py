@@ -1,4 +1,4 @@
-"""Meshes as other programs write them: polygons that are not convex, and files that are damaged."""
+"""Tests meshes written by other programs: polygons that are not convex, and damaged files."""
 
 import struct
 import warnings
@@ -18,7 +18,8 @@ RNG = np.random.default_rng(5)
 
 
 def areas(mesh):
-    """Twice the area of the triangles alone and as they turn: equal if none covers another."""
+    """Return the sum of the triangles' areas, and the area of their vector sum. The two are equal
+    if no triangle covers another."""
     a, b, c = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     return np.linalg.norm(across, axis=1).sum() / 2, np.linalg.norm(across.sum(axis=0)) / 2
@@ -30,7 +31,8 @@ def shoelace(flat):
 
 
 def star(points, start=0):
-    """A polygon around the origin whose radius jumps: most corners are open or not convex."""
+    """Return a star-shaped polygon around the origin, most of whose corners are concave or
+    sharp."""
     radius = np.where(np.arange(points) % 2, 1.0, 3.0) + RNG.uniform(0, 0.5, points)
     angle = 2 * np.pi * np.arange(points) / points
     return np.roll(np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1), start, axis=0)
@@ -60,7 +62,7 @@ def written(folder, kind, corners, polygons):
 
 @pytest.mark.parametrize("kind", ["obj", "off", "ply", "ply-binary"])
 @pytest.mark.parametrize("start", [0, 1, 2, 3])
-def test_an_arrow_head_is_four_square_metres_from_any_corner(tmp_path, kind, start):
+def test_an_arrow_head_has_four_square_metres_from_any_corner(tmp_path, kind, start):
     flat = np.roll([[0.0, 0], [4, 0], [1, 1], [0, 4]], start, axis=0)
     file = written(tmp_path, kind, np.column_stack([flat, flat * 0 @ [[0], [0]]]), [[0, 1, 2, 3]])
     np.testing.assert_allclose(areas(read_mesh(file)), 4, rtol=1e-6)
@@ -68,7 +70,7 @@ def test_an_arrow_head_is_four_square_metres_from_any_corner(tmp_path, kind, sta
 
 @pytest.mark.parametrize("kind", ["obj", "off", "ply", "ply-binary"])
 def test_polygons_that_are_not_convex_are_covered_once(tmp_path, kind):
-    """Stars in tilted planes, turned either way, against the shoelace formula."""
+    """Stars in tilted planes, in both orientations, are compared with the shoelace formula."""
     tilt = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     for axes in (np.eye(3), np.eye(3)[[1, 2, 0]], np.eye(3)[[2, 1, 0]], tilt):
         flat = star(14, start=3)
@@ -102,7 +104,7 @@ def test_convex_polygons_stay_as_they_were(tmp_path):
         ("b.obj", b"v 0 0 0\nv 2 0 0\nv 0 2 0\nv 0 0 2\nf 0/1 1/1 2/1\n", "vertex 0, .* from 1"),
     ],
 )
-def test_what_a_mesh_lacks_is_said_of_its_content(tmp_path, name, data, sentence):
+def test_empty_meshes_name_their_content(tmp_path, name, data, sentence):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=sentence):
         read_mesh(tmp_path / name)
@@ -110,7 +112,7 @@ def test_what_a_mesh_lacks_is_said_of_its_content(tmp_path, name, data, sentence
 
 @pytest.mark.parametrize("head", ["4OFF", "nOFF\n3", "C4nOFF"])
 def test_points_of_four_coordinates_in_off_are_refused(tmp_path, head):
-    """(2, 0, 0, 2) is (1, 0, 0) in homogeneous coordinates; its area would be twice too large."""
+    """(2, 0, 0, 2) is (1, 0, 0) in homogeneous coordinates, so the area would be twice as large."""
     (tmp_path / "a.off").write_text(head + "\n3 1 0\n0 0 0 1\n2 0 0 2\n0 1 0 1\n3 0 1 2\n")
     with pytest.raises(InputError, match="more than three coordinates"):
         read_mesh(tmp_path / "a.off")
@@ -118,7 +120,7 @@ def test_points_of_four_coordinates_in_off_are_refused(tmp_path, head):
 
 @pytest.mark.parametrize("wrong", ["nan", "inf", "1e300"])
 def test_vertices_that_are_not_finite_are_counted(tmp_path, wrong):
-    """One sentence, and none of NumPy's."""
+    """There is one warning, and none of NumPy's."""
     text = f"v 0 0 0\nv {wrong} 0 0\nv 0 1 0\nv 1 0 0\nf 1 2 3\nf 1 4 3\n"
     (tmp_path / "a.obj").write_text(text)
     with warnings.catch_warnings(record=True) as said:
@@ -139,13 +141,13 @@ BOX += "v 9 9 9\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 
 
 
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_a_byte_order_mark_hides_no_vertex(tmp_path, mark):
+def test_a_byte_order_mark_does_not_hide_a_vertex(tmp_path, mark):
     file = tmp_path / "box.obj"
     file.write_bytes(mark + BOX.encode())
     np.testing.assert_allclose(areas(read_mesh(file))[0], 6)
 
 
-def test_surfaces_of_free_form_are_named(tmp_path):
+def test_free_form_surfaces_are_named(tmp_path):
     file = tmp_path / "box.obj"
     file.write_text(BOX + "cstype bezier\ndeg 1 1\nsurf 0 1 0 1 1 2 4 3\nend\n")
     with pytest.warns(UserWarning, match=r"free form \(surf\), which are not read"):
@@ -159,7 +161,7 @@ def test_surfaces_of_free_form_are_named(tmp_path):
         ("uchar red\nproperty list uchar int vertex_index", "255 {}"),
     ],
 )
-def test_what_stands_beside_the_corners_of_a_text_ply_is_passed_over(tmp_path, properties, row):
+def test_other_properties_of_a_text_ply_are_skipped(tmp_path, properties, row):
     head = PLY.format("ascii", 4, 2).replace("list uchar int vertex_indices", properties)
     rows = ["0 0 0", "2 0 0", "2 2 0", "0 2 0", row.format("3 0 1 2"), row.format("3 0 2 3")]
     (tmp_path / "a.ply").write_text(head + "\n".join(rows) + "\n")
@@ -168,7 +170,8 @@ def test_what_stands_beside_the_corners_of_a_text_ply_is_passed_over(tmp_path, p
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_face_over_two_lines_is_covered_once(tmp_path, end):
-    """A square of 2 m less a triangle of 1.5 m^2; no line alone holds four corners."""
+    """The face is a square of 2 m minus a triangle of 1.5 m^2, on two lines of fewer than four
+    corners each."""
     file = tmp_path / "a.obj"
     lines = ["v 0 0 0", "v 2 0 0", "v 2 2 0", "v 1 .5 0", "v 0 2 0", "f 1 2 \\", " 3 4 5", ""]
     file.write_bytes(end.join(lines).encode())
@@ -176,9 +179,10 @@ def test_a_face_over_two_lines_is_covered_once(tmp_path, end):
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-@pytest.mark.parametrize("notch", [".5", "3"])  # a corner that is not convex, or none
-def test_a_comment_that_ends_in_a_backslash_hides_no_vertex(tmp_path, end, notch):
-    """A pentagon by the shoelace formula, written below the folder of its program."""
+@pytest.mark.parametrize("notch", [".5", "3"])  # with a concave corner, and without
+def test_a_comment_that_ends_in_a_backslash_does_not_hide_a_vertex(tmp_path, end, notch):
+    """The reference is a pentagon by the shoelace formula. The comment names the program's
+    folder."""
     file = tmp_path / "a.obj"
     comment = "# written by C:\\models\\"
     lines = [comment, "v 0 0 0", "v 2 0 0", "v 2 2 0 # in D:\\", f"v 1 {notch} 0", "v 0 2 0"]
@@ -223,7 +227,7 @@ SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 
 def test_negative_indices_count_from_the_line_of_the_face(tmp_path):
-    """The second triangle was the first once more."""
+    """An earlier version repeated the first triangle."""
     text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\n"
     (tmp_path / "a.obj").write_text(text + text.replace("v 0", "v 5").replace("v 1", "v 6"))
     mesh = read_mesh(tmp_path / "a.obj")
@@ -232,8 +236,8 @@ def test_negative_indices_count_from_the_line_of_the_face(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
-def test_normals_of_a_file_are_those_of_its_mesh(tmp_path, suffix):
-    """They were computed anew from the triangles, whatever the file says."""
+def test_normals_of_a_file_are_used(tmp_path, suffix):
+    """An earlier version computed normals from the triangles."""
     normals = np.array([[0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1]])
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]])
     if suffix == "obj":
@@ -245,7 +249,7 @@ def test_normals_of_a_file_are_those_of_its_mesh(tmp_path, suffix):
         mesh.export(tmp_path / f"a.{suffix}")
     found = read_mesh(tmp_path / f"a.{suffix}", smooth=True)
     np.testing.assert_allclose(found.normals, normals, atol=1e-6)
-    stretched = np.diag([2.0, 1.0, 1.0])  # normals of a stretched surface turn from its axis
+    stretched = np.diag([2.0, 1.0, 1.0])  # normals of a stretched surface rotate away from its axis
     found = read_mesh(
         tmp_path / f"a.{suffix}", smooth=True, matrix=np.column_stack([stretched, np.zeros(3)])
     )
@@ -264,7 +268,7 @@ def test_normals_of_a_file_are_those_of_its_mesh(tmp_path, suffix):
         ("call other.obj\nf 1 2 3\n", r"another file \(call\)"),
     ],
 )
-def test_what_an_obj_holds_beside_its_triangles_is_named(tmp_path, more, said):
+def test_other_content_of_an_obj_is_named(tmp_path, more, said):
     (tmp_path / "a.obj").write_text(SQUARE + more)
     with pytest.warns(UserWarning, match=f"not used: {said}"):
         read_mesh(tmp_path / "a.obj")

@@ -1,4 +1,4 @@
-"""Photon transfer of cameras that are not the project's own: their sheets against the truth."""
+"""Tests photon transfer of various simulated cameras against their true values."""
 
 import io
 from contextlib import nullcontext
@@ -31,7 +31,7 @@ K, QE, SHAPE, PHOTONS = 0.25, 0.5, (64, 64), np.linspace(300, 28_000, 8)
 
 
 def camera(rng, *, read, dsnu=1.0, offset=64.0, bits=12, convert=np.asarray, light=None):
-    """A calibrated camera of 12 bits, whose numbers go through `convert`."""
+    """Return a calibrated 12-bit camera whose numbers pass through `convert`."""
     die = dsnu * rng.standard_normal(SHAPE), 1 + 0.01 * rng.standard_normal(SHAPE)
 
     def frame(photons):
@@ -48,7 +48,7 @@ def camera(rng, *, read, dsnu=1.0, offset=64.0, bits=12, convert=np.asarray, lig
 
 
 def estimates(calibration):
-    """By name, of the likelihood where there are two."""
+    """Return the estimates by name, those of the likelihood if there are two."""
     listed = section(calibration).estimates
     return {one.name: one for one in listed if one.method != "EMVA 1288"}
 
@@ -60,8 +60,9 @@ def assert_true(found, **truth):
 
 
 @pytest.mark.slow
-def test_rounded_moments_of_unequal_pixels_are_those_of_a_sum_over_pixels():
-    """Of 201 x 401 places of the offset and codes, with Poisson's law summed, by SciPy."""
+def test_rounded_moments_of_unequal_pixels_equal_a_sum_over_pixels():
+    """The reference sums over 201 x 401 positions of offset and codes, with SciPy's Poisson
+    distribution."""
     mu, gain, read, offset, spread = 3.0, 0.25, 0.7, 64.3, 0.3
     offsets = spread * np.linspace(-6, 6, 401)
     weight = norm.pdf(offsets / spread)
@@ -91,7 +92,7 @@ def test_rounded_moments_of_unequal_pixels_are_those_of_a_sum_over_pixels():
 
 
 @pytest.mark.parametrize(("frequencies", "nodes", "turn"), [(363, 513, 0.004), (6, 3, 0.3)])
-def test_sums_over_frequencies_at_the_offsets_are_those_of_a_product(frequencies, nodes, turn):
+def test_sums_over_frequencies_at_the_offsets_equal_a_product(frequencies, nodes, turn):
     rng, places = np.random.default_rng(0), np.arange(nodes) - nodes // 2
     summands = rng.normal(size=frequencies) + 1j * rng.normal(size=frequencies)
     by_hand = summands @ np.exp(1j * turn * np.outer(np.arange(frequencies), places))
@@ -101,7 +102,7 @@ def test_sums_over_frequencies_at_the_offsets_are_those_of_a_product(frequencies
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dsnu", "offset"), [(1.0, 64.0), (1.0, 64.3), (2.0, 64.0)])
-def test_unequal_offsets_of_a_quiet_sensor_are_no_read_noise(dsnu, offset):
+def test_unequal_offsets_of_a_quiet_sensor_are_not_read_noise(dsnu, offset):
     found = estimates(camera(np.random.default_rng(0), read=0.8, dsnu=dsnu, offset=offset))
     assert_true(found, system_gain=K, read_noise=0.8, dsnu=dsnu)
     assert found["read_noise"].standard_error < 0.03
@@ -134,7 +135,7 @@ def test_the_step_of_the_converter_is_the_files_own(convert, bits, step, said):
 
 
 def averages(flats, darks):
-    """Single frames, means of 16 or medians of 15, which are then scaled as masters are."""
+    """Return frames that are single, means of 16 or medians of 15, scaled as masters are."""
     rng = np.random.default_rng(24)
 
     def frame(photons, kind):
@@ -160,15 +161,15 @@ def averages(flats, darks):
         ("means", "means", None, None),
     ],
 )
-def test_averages_in_the_darks_or_in_the_flats_alone_are_told_apart(flats, darks, lost, said):
+def test_averages_in_the_darks_or_in_the_flats_are_distinguished(flats, darks, lost, said):
     doubts = averages(flats, darks).doubts
     assert len(doubts) == (lost is not None)
     assert all(lost in one.of and said in one.sentence for one in doubts)
 
 
 @pytest.mark.slow
-def test_averages_in_the_darks_spoil_dark_noise_alone():
-    """Means of 16 have a quarter of the noise; the gain comes from the flats."""
+def test_averages_in_the_darks_affect_only_the_dark_noise():
+    """Means of 16 have a quarter of the noise. The gain is from the flats."""
     calibration = noise.calibrate(averages("single", "means"))
     found, told = estimates(calibration), " ".join(section(calibration).findings)
     assert found["read_noise"].value is None
@@ -184,7 +185,7 @@ def test_bits_of_a_converter_are_those_of_its_codes(top, step, bits):
 
 
 @pytest.mark.slow
-def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
+def test_left_aligned_numbers_of_a_quiet_sensor_give_the_same_warnings():
     calibration = camera(np.random.default_rng(2), read=0.8, convert=left_aligned, bits=16)
     assert_true(estimates(calibration), read_noise=0.8, dsnu=1.0, system_gain=16 * K)
     told = " ".join(section(calibration).findings)
@@ -197,7 +198,7 @@ def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
 
 
 @pytest.mark.slow
-def test_a_floor_is_a_limit_and_the_darks_show_their_own_noise():
+def test_a_quantisation_floor_is_an_upper_limit_and_darks_show_their_noise():
     calibration = camera(np.random.default_rng(3), read=1.2, dsnu=0.0, offset=63.9)
     by_method = {(one.name, one.method): one for one in section(calibration).estimates}
     for name, side in (("temporal_dark_noise", "below 0.49 DN"), ("read_noise", "below 1.58 e⁻")):
@@ -213,7 +214,7 @@ def test_a_floor_is_a_limit_and_the_darks_show_their_own_noise():
 
 
 @pytest.mark.slow
-def test_a_read_noise_within_a_tenth_of_a_code_is_a_limit():
+def test_a_read_noise_below_a_tenth_of_a_code_is_an_upper_limit():
     calibration = camera(np.random.default_rng(4), read=0.1, dsnu=0.0, offset=64.49)
     read = estimates(calibration)["read_noise"]
     assert read.value is None
@@ -222,7 +223,7 @@ def test_a_read_noise_within_a_tenth_of_a_code_is_a_limit():
 
 
 @pytest.mark.slow
-def test_rows_that_flicker_by_a_tenth_of_a_percent_leave_the_sheet():
+def test_row_flicker_of_a_tenth_of_a_percent_does_not_change_the_sheet():
     def rows(rng):
         return 1 + 0.001 * rng.standard_normal((SHAPE[0], 1))
 
@@ -242,7 +243,8 @@ RIGHT = COLUMN // (SHAPE[1] // 2)
 
 
 def read_out(rng, *, gain=K, offset=64.0, light=1.0, columns=0.0):
-    """Flats and darks of pixels that differ as stated, of columns whose offsets are random, too."""
+    """Return flats and darks of pixels with the given differences, and columns with random
+    offsets."""
     fixed = offset + columns * rng.standard_normal((1, SHAPE[1]))
 
     def frame(photons):
@@ -303,7 +305,7 @@ def test_structure_of_a_known_period_is_found(camera, where, period, what):
 
 
 @pytest.mark.slow
-def test_unequal_columns_and_a_light_that_falls_off_are_no_structure():
+def test_unequal_columns_and_vignetting_are_not_structure():
     alarms = 0
     for seed in range(12):
         falls = 1 - 0.3 * ((COLUMN - 20) ** 2 + (ROW - 40) ** 2) / SHAPE[0] ** 2
@@ -355,7 +357,7 @@ def test_the_command_calibrates_each_tap(tmp_path):
 
 
 @pytest.mark.parametrize("count", [2, 5])
-def test_a_lamp_that_flickers_between_frames_is_no_capacitance_and_no_amplifier(count):
+def test_a_lamp_that_flickers_between_frames_is_not_taken_for_other_effects(count):
     rng = np.random.default_rng(count)
 
     def frame(photons):
@@ -387,7 +389,7 @@ def test_three_amplifiers_are_named_with_their_taps():
 
 
 @pytest.mark.parametrize(("offset", "said"), [(-11e-6, 0), (-49e-6, 0), (-60e-6, 1)])
-def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said):
+def test_an_offset_of_the_light_within_twice_its_error_is_not_reported(offset, said):
     found = SimpleNamespace(
         likelihood=...,
         chosen=SimpleNamespace(values={"light_offset"}, data=SimpleNamespace(photons_known=False)),
@@ -415,8 +417,8 @@ def test_a_stated_gain_that_the_frames_contradict_is_named():
 
 
 @pytest.mark.slow
-def test_darks_of_another_camera_are_a_cause_of_an_offset_of_the_light():
-    """Darks 6 DN above the flats' black level look as if 48 photons of each flat were missing."""
+def test_darks_of_another_camera_may_explain_an_offset_of_the_light():
+    """Darks 6 DN above the flats' black level look as if 48 photons were missing in each flat."""
     rng = np.random.default_rng(5)
 
     def frame(photons, offset):
@@ -438,7 +440,7 @@ def test_darks_of_another_camera_are_a_cause_of_an_offset_of_the_light():
 @pytest.mark.parametrize("bits", [12, 16])
 @pytest.mark.sweep
 def test_dead_columns_rows_and_pixels_are_left_out(bits):
-    """At 0, and stuck at the top code, in every frame."""
+    """The pixels are 0, and stuck at the highest code, in every frame."""
     rng = np.random.default_rng(12)
     prnu = 1 + 0.01 * rng.standard_normal(SHAPE)
     flats, darks, *others = read_out(rng, light=prnu)
@@ -460,7 +462,7 @@ def test_dead_columns_rows_and_pixels_are_left_out(bits):
 
 
 def test_hot_and_stuck_pixels_are_left_out_of_flats_and_darks():
-    """A hundredth of the pixels with a dark current of 3,000 electrons, and its shot noise."""
+    """One per cent of the pixels has a dark current of 3,000 electrons, with shot noise."""
     rng = np.random.default_rng(14)
     flats, darks, *others = read_out(rng)
     hot = rng.random(SHAPE) < 0.01
@@ -482,7 +484,8 @@ def test_hot_and_stuck_pixels_are_left_out_of_flats_and_darks():
 
 
 def levels_of(count, *, flicker=0.0, vignette=0.0, dead=0.0, frames=2, electrons=10_000):
-    """Variances of simulated levels over those of their mean light, and pixels that count."""
+    """Return variances of simulated levels, relative to those for their mean light, and the number
+    of pixels used."""
     found = []
     for seed in range(count):
         rng = np.random.default_rng(seed)
@@ -505,16 +508,16 @@ def levels_of(count, *, flicker=0.0, vignette=0.0, dead=0.0, frames=2, electrons
 
 @pytest.mark.parametrize(("frames", "flicker"), [(2, 0.03), (2, 0.1), (4, 0.03)])
 @pytest.mark.sweep
-def test_a_lamp_that_flickers_over_uneven_light_moves_no_variance(frames, flicker):
-    """Light that falls by 60 % to the corners; taken as whole frames, 3 % of flicker add a fifth to
-    the variance."""
+def test_flicker_over_uneven_light_does_not_change_the_variance(frames, flicker):
+    """The light falls by 60 % towards the corners. From whole frames, 3 % of flicker would add a
+    fifth to the variance."""
     ratio, rows, columns, _ = levels_of(40, flicker=flicker, vignette=0.6, frames=frames)
     for values, truth in ((ratio, 1.0), (rows, 0.0), (columns, 0.0)):
         assert abs(values.mean() - truth) < 3.5 * values.std() / np.sqrt(40)
     assert abs(ratio - 1).max() < 5 * np.sqrt(2 / 4096 / (frames - 1))
 
 
-def test_errors_know_how_many_pixels_are_left():
+def test_errors_use_the_number_of_remaining_pixels():
     ratio, _, _, count = levels_of(120, dead=0.3)
     z = (ratio - 1) / np.sqrt(2 / count)
     assert abs(z.mean()) < 3.5 / np.sqrt(120)
@@ -522,7 +525,7 @@ def test_errors_know_how_many_pixels_are_left():
 
 
 def jpeg(frame, quality):
-    """As it comes back from a JPEG file."""
+    """Return a frame after JPEG compression."""
     file = io.BytesIO()
     Image.fromarray(frame.astype(np.uint8)).save(file, "JPEG", quality=quality)
     return np.asarray(Image.open(file))
@@ -530,8 +533,8 @@ def jpeg(frame, quality):
 
 @pytest.mark.parametrize("quality", [100, 98, 95, 85, None])
 @pytest.mark.sweep
-def test_frames_that_were_jpeg_of_high_quality_are_named(quality):
-    """8 bits; K comes out 2, 13 and 20 % too large at 100, 98 and 95, and half at 85."""
+def test_frames_from_jpegs_of_high_quality_are_named(quality):
+    """With 8 bits, K is 2, 13 and 20 % too large at quality 100, 98 and 95, and half at 85."""
     rng = np.random.default_rng(15)
 
     def frame(electrons):
@@ -549,8 +552,8 @@ def test_frames_that_were_jpeg_of_high_quality_are_named(quality):
     assert all("JPEG" in sentence for sentence in told)
 
 
-def test_raw_numbers_are_no_jpeg():
-    """Of any noise, also of numbers at the upper end of 16 bits."""
+def test_raw_numbers_are_not_taken_for_jpeg():
+    """The raw numbers have any noise, and may be in the upper bits of 16."""
     rng = np.random.default_rng(16)
     for step in (1, 4, 16):
         for deviation in rng.uniform(0.3, 8, 40):
@@ -559,8 +562,8 @@ def test_raw_numbers_are_no_jpeg():
 
 
 @pytest.mark.parametrize("size", [64, 128])
-def test_dark_blocks_beside_lit_ones_are_no_jpeg(size):
-    """An eighth of the blocks scatters by 1.3 DN, the others by 20, as in a frame with covered
+def test_dark_blocks_next_to_lit_ones_are_not_taken_for_jpeg(size):
+    """An eighth of the blocks has noise of 1.3 DN and the others of 20, as in a frame with covered
     columns."""
     rng = np.random.default_rng(18)
     found = np.zeros((16, 8, 8))
@@ -573,7 +576,7 @@ def test_dark_blocks_beside_lit_ones_are_no_jpeg(size):
 
 @pytest.mark.slow
 def test_covered_columns_are_left_out_however_many_they_are():
-    """A quarter of the columns under metal; two bad pixels in it follow the light."""
+    """A quarter of the columns is under metal. Two bad pixels there follow the light."""
     rng = np.random.default_rng(19)
     flats, darks, *others = read_out(rng)
     for frame in (frame for level in flats for frame in level):
@@ -588,7 +591,7 @@ def test_covered_columns_are_left_out_however_many_they_are():
     assert_true(estimates(calibration), system_gain=K, quantum_efficiency=100 * QE)
 
 
-def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
+def test_clipped_black_and_saturation_are_not_dead_pixels():
     flats, darks, *others = read_out(np.random.default_rng(13), offset=0.0)
     flats[-1] = [np.full(SHAPE, 65535.0)] * 2
     measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
@@ -596,14 +599,14 @@ def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
 
 
 @pytest.mark.parametrize(("late", "alone"), [("the first", True), ("all", False)])
-def test_an_offset_that_the_dimmest_level_alone_shows_is_told_from_one_of_all(late, alone):
+def test_an_offset_of_the_dimmest_level_only_is_distinguished_from_one_of_all(late, alone):
     stated = np.linspace(1e-3, 2e-2, 10)
     true = stated - np.where((late == "all") | (np.arange(10) == 0), 1e-4, 0)
     assert _dimmest_alone(*timed(stated, true, 2e-4)) == alone
 
 
 def timed(times, true, scatter=0.0):
-    """Flats of a linear camera whose light lasts for the true times, stated as others."""
+    """Return flats of a linear camera whose true exposure times differ from the stated ones."""
     rng = np.random.default_rng(17)
     true = np.asarray(true) * (1 + scatter * rng.standard_normal(len(true)))
     bright = SimpleNamespace(exposure=np.asarray(times), mean=64 + 3000 * true / true.max())
@@ -633,8 +636,8 @@ def test_other_times_are_not_called_printed(times, true, scatter):
     assert printed_times(*timed(times, true, scatter)) is None
 
 
-def test_gains_that_grow_toward_the_border_are_named():
-    """A correction of lens shading: numbers times 1 + 0.8 r^2, of even light."""
+def test_gains_that_grow_towards_the_border_are_named():
+    """A correction of lens shading multiplies numbers by 1 + 0.8 r^2, under uniform light."""
     distance = ((ROW - 31.5) ** 2 + (COLUMN - 31.5) ** 2) / 31.5**2
     (found,) = structure(read_out(np.random.default_rng(10), gain=K * (1 + 0.8 * distance)))
     assert (found.where, found.period) == ("centre and border", 0)
@@ -649,7 +652,7 @@ def test_gains_that_grow_toward_the_border_are_named():
 
 @pytest.mark.parametrize("share", [0.0, 0.003])
 def test_cosmic_rays_are_left_out_and_named(share):
-    """Of each frame a share of the pixels is hit by 3000 electrons in the mean."""
+    """A share of the pixels of each frame is hit, with 3000 electrons on average."""
     rng = np.random.default_rng(11)
 
     def frame(photons):
@@ -669,11 +672,11 @@ def test_cosmic_rays_are_left_out_and_named(share):
     expected = K**2 * 16 + 1 / 12
     assert abs(float(dark.variance.mean()) / expected - 1) < 0.02
     gains = (bright.variance - dark.variance) / (bright.mean - dark.mean)
-    # Three standard errors of 8 variances of 4096 pixels in three frames, and the weakest hits.
+    # Three standard errors of 8 variances of 4096 pixels in three frames, plus the weakest hits.
     assert abs(float(gains.mean()) / K - 1) < 3 * np.sqrt(2 / (2 * 4096 * 8)) + 0.005
 
 
-def test_tails_of_few_electrons_and_of_warm_pixels_are_no_cosmic_rays():
+def test_tails_of_few_electrons_and_of_warm_pixels_are_not_cosmic_rays():
     rng, live = np.random.default_rng(12), LivePixels(np.ones((128, 128), bool))
     warm = 30 * rng.lognormal(0, 2, (128, 128))
     for mean in (0.001, 0.01, 0.1, 1.0, warm):
@@ -682,8 +685,8 @@ def test_tails_of_few_electrons_and_of_warm_pixels_are_no_cosmic_rays():
 
 
 @pytest.mark.slow
-def test_a_knee_of_a_piecewise_linear_response_is_no_full_well():
-    """Numbers above 1800 DN count a quarter (1736 above black)."""
+def test_a_knee_of_a_piecewise_linear_response_is_not_the_full_well():
+    """Numbers above 1800 DN (1736 above black) are compressed to a quarter."""
     rng = np.random.default_rng(3)
 
     def frame(photons):
@@ -714,8 +717,8 @@ def test_a_knee_of_a_piecewise_linear_response_is_no_full_well():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("count", [60, 200])
-def test_saturation_and_bends_that_are_smooth_are_no_knee(count):
-    """Five series for each, without noise, and with that of 128 x 128 pixels."""
+def test_saturation_and_smooth_curves_are_not_knees(count):
+    """There are five series of each type, without noise, and with the noise of 128 x 128 pixels."""
     rng = np.random.default_rng(0)
     for noisy in (0.0, np.sqrt(2) / 128):
         for _ in range(count):
@@ -733,7 +736,7 @@ def test_saturation_and_bends_that_are_smooth_are_no_knee(count):
                 assert knee_of(1e4 * signal, shot, noisy * shot) is None
 
 
-def test_a_series_without_light_that_saturates_has_its_well():
+def test_a_saturating_series_without_known_light_has_its_well():
     rng = np.random.default_rng(0)
     flats = [[np.minimum(rng.poisson(p, (64, 64)), 9000) for _ in range(2)] for p in PHOTONS / 2]
     darks = [[10 + rng.poisson(9, (64, 64)) for _ in range(2)] for _ in PHOTONS]
@@ -749,7 +752,7 @@ def test_a_series_without_light_that_saturates_has_its_well():
 
 
 def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, levels=12):
-    """Flats and darks of one lamp under longer and longer exposures, and what is stated of them."""
+    """Return flats and darks of one lamp at increasing exposure times, and the stated values."""
     photons = np.linspace(600, 26_000, levels)
     times = photons / 1e6
 
@@ -770,8 +773,8 @@ def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, leve
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 7, 8])
 @pytest.mark.sweep
-def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):
-    """A lamp that is dimmed by pulses under a rolling shutter."""
+def test_bands_of_a_dimmed_lamp_are_not_a_moving_camera(seed):
+    """A lamp is dimmed by pulses, under a rolling shutter."""
     rows = np.arange(128)[:, None]
 
     def bands(rng):
@@ -785,17 +788,17 @@ def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):
     assert not any(word in told for word in ("moved", "copies", "averaged"))
 
 
-def test_a_level_that_is_left_aligned_is_told_as_such():
+def test_a_left_aligned_level_is_named():
     flats, darks, *stated = exposed(np.random.default_rng(10))
     flats[5] = [16 * frame for frame in flats[5]]
     measured = noise.from_frames(flats, darks, *stated, camera=noise.Camera(bits=16))
     (told,) = measured.bright.left_out
     assert "its values are multiples of 16, those of other levels are not" in told
-    assert measured.converter.coarse_from is None  # of what is left
+    assert measured.converter.coarse_from is None  # of the remaining levels
 
 
-def test_darks_that_hardly_leave_one_code_are_not_uneven():
-    """Read noise of .3 electrons at .25 DN an electron."""
+def test_darks_with_almost_one_code_are_not_uneven():
+    """The read noise is .3 electrons at .25 DN per electron."""
     for seed in (2, 4, 6):
         frames = exposed(np.random.default_rng(seed), offset=10, side=64, read=0.3, dark=0.5)
         measured = noise.from_frames(*frames, camera=noise.Camera(bits=12))
@@ -803,7 +806,7 @@ def test_darks_that_hardly_leave_one_code_are_not_uneven():
 
 
 @pytest.mark.slow
-def test_the_dark_current_of_clipped_black_blames_no_compensation():
+def test_the_dark_current_of_clipped_black_is_not_attributed_to_compensation():
     frames = exposed(np.random.default_rng(14), offset=0, levels=14)
     found = noise.calibrate(noise.from_frames(*frames, camera=noise.Camera(bits=12)))
     told = " ".join(section(found).findings)
@@ -814,8 +817,9 @@ def test_the_dark_current_of_clipped_black_blames_no_compensation():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lowest", [62, 65])
-def test_black_that_was_clipped_at_a_code_above_0_is_no_lower_read_noise(lowest):
-    """Read noise was 2.91 +- .31 (5), dark current 22.3 +- 2.0 (40)."""
+def test_black_clipped_above_0_does_not_lower_the_read_noise(lowest):
+    """An earlier version gave a read noise of 2.91 +- .31 for a limit of 5, and a dark current of
+    22.3 +- 2.0 for 40."""
     found = camera(
         np.random.default_rng(1), read=6.0, convert=lambda frame: np.maximum(frame, lowest)
     )

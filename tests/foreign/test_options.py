@@ -1,4 +1,5 @@
-"""Options without effect, and numbers that are moved to the end of their range: one sentence."""
+"""Tests that options without effect, and numbers that are clipped to their range, are named in one
+sentence."""
 
 import jax
 import jax.numpy as jnp

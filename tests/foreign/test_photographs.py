@@ -1,4 +1,4 @@
-"""Photographs of a ball whose camera, surface or place is not as the rig says."""
+"""Tests photographs of a ball whose camera, surface or position differs from the rig."""
 
 from dataclasses import replace
 
@@ -26,8 +26,9 @@ def of(images, *, lights=12, **known):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_camera_that_clips_below_full_scale_is_noticed(seed):
-    """At 2000 of 4095 DN; a highlight that ends by itself is none, nor one of 8 bits."""
+def test_a_camera_that_clips_below_full_scale_is_detected(seed):
+    """The camera clips at 2000 of 4095 DN. A highlight that ends naturally is not clipped, nor is
+    one in 8 bits."""
     images = photographs(Sphere(), seed)
     found = of(np.minimum(images, 2000))
     assert found.clip == 2000
@@ -39,7 +40,7 @@ def test_a_camera_that_clips_below_full_scale_is_noticed(seed):
 
 
 def encoded_ball(curve, seed=0):
-    """A glossy ball in 8 bits behind a tone curve, sampled at pixel centres."""
+    """Return photographs of a glossy ball in 8 bits with a tone curve, sampled at pixel centres."""
     light = shade(sphere_normals(SIZE, RADIUS), directions(12), "phong", 0.4, 0.45, 40)
     noise = 0.003 * np.sqrt(light + 0.01)
     light = light + noise * np.random.default_rng(seed).standard_normal(light.shape)
@@ -63,14 +64,14 @@ def srgb(x):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_gamma_that_nobody_stated_is_fitted(seed):
-    """Taken as linear, the diffuse term was .78 +- .02 for .4."""
+    """Read as linear, the diffuse term would be .78 +- .02 instead of .4."""
     images = encoded_ball(lambda x: x ** (1 / 2.2), seed)
     found = reflectance.calibrate(of_8_bits(images), model="phong").section
     assert any("treated as encoded" in s for s in found.findings)
     for name, truth in {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0, "gamma": 2.2}.items():
         low, high = find(found.estimates, name).interval_95
         assert low < truth < high < 1.2 * low
-    # pixels are points, which the fit has to see before it judges the curve
+    # pixels are points, which the fit must detect before it judges the curve
     assert_covers(joint.calibrate(of_8_bits(images)).section.estimates, TRUTH | {"gamma": 2.2})
     linear = reflectance.calibrate(of_8_bits(encoded_ball(lambda x: x)), model="phong").section
     assert not any("treated as encoded" in s for s in linear.findings)
@@ -99,7 +100,7 @@ def test_pictures_in_srgb_are_decoded(seed):
 
 @pytest.mark.slow
 def test_pictures_of_another_curve_have_no_numbers():
-    """Steeper than sRGB in the middle, as a camera's own pictures are."""
+    """The curve is steeper than sRGB in the middle, as in a camera's own pictures."""
     images = encoded_ball(lambda x: srgb(x) * (1 + 0.25 * (srgb(x) - 0.5) * (1 - srgb(x))))
     observation = of_8_bits(images)
     found = reflectance.calibrate(observation, model="phong").section
@@ -110,7 +111,7 @@ def test_pictures_of_another_curve_have_no_numbers():
 
 
 @pytest.mark.slow
-def test_stripes_of_a_surface_are_told():
+def test_stripes_of_a_surface_are_named():
     row = np.arange(SIZE)[:, None]
     striped = np.where(row // 3 % 2 == 0, 1.0, 0.45)
     images = np.round(60 + (photographs(Sphere(), 0) - 60) * striped)
@@ -122,8 +123,8 @@ def test_stripes_of_a_surface_are_told():
 
 
 @pytest.mark.slow
-def test_a_joint_fit_without_errors_is_reported():
-    """Of a fit that ran away the information is no number; the report says that it did."""
+def test_a_joint_fit_without_standard_errors_is_reported():
+    """After a diverged fit the information is NaN, and the report says that the fit failed."""
     found = joint.calibrate(of(photographs(Sphere(lights=6), 0), lights=6, gain=GAIN))
     (fit,) = found.fits
     lost = replace(
@@ -138,8 +139,8 @@ def test_a_joint_fit_without_errors_is_reported():
 @pytest.mark.parametrize("camera", [{"gain": GAIN, "read_noise": 6.0}, {}])
 @pytest.mark.parametrize("wrong", [-40, 10])
 def test_a_wrong_black_level_is_estimated_from_the_shadows(wrong, camera):
-    """The rig states 60 DN. Without the shadows k_d was 34 standard errors off, unsaid if gain and
-    read noise are free."""
+    """The rig states 60 DN. Without the shadows, k_d was wrong by 34 standard errors, without a
+    message if gain and read noise are free."""
     sphere = Sphere(lights=10, black=60.0 + wrong)
     found = joint.calibrate(of(photographs(sphere, 0), lights=10, **camera)).section
     side = "above" if wrong > 0 else "below"
@@ -151,7 +152,7 @@ def test_a_wrong_black_level_is_estimated_from_the_shadows(wrong, camera):
 
 
 @pytest.mark.slow
-def test_a_right_black_level_stays_as_stated():
+def test_a_right_black_level_is_kept():
     found = joint.calibrate(of(photographs(Sphere(), 0), gain=GAIN, read_noise=6.0)).section
     assert not any("Pixels that face away" in s for s in found.findings)
     assert "black_level" not in [estimate.name for estimate in found.estimates]
@@ -159,7 +160,8 @@ def test_a_right_black_level_stays_as_stated():
 
 @pytest.mark.slow
 def test_a_highlight_between_the_samples_has_no_exponent():
-    """A polished ball, 1e4 for the exponent, sampled at pixel centres: one pixel is bright."""
+    """A polished ball with an exponent of 1e4 is sampled at pixel centres, so only one pixel is
+    bright."""
     shaded = shade(sphere_normals(SIZE, RADIUS), directions(10), "phong", 0.4, 3.0, 1e4)
     exposed = {"gain": GAIN, "read_noise": 6.0, "black": 60.0, "clip": 4095.0}
     images = expose(np.random.default_rng(0), WHITE * shaded, **exposed)

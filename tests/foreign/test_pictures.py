@@ -1,4 +1,5 @@
-"""Pictures as other libraries hand them over, and one calling rule for one notion."""
+"""Tests pictures in the forms of other libraries, and that the same concept has the same form
+everywhere."""
 
 import warnings
 
@@ -101,7 +102,7 @@ def test_rgb_pictures_are_not_layers():
     opaque = np.concatenate([RGB[..., :2], np.ones((6, 8, 1))], axis=-1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        jv.matting.over(RGB, opaque)  # two bands over an opaque back
+        jv.matting.over(RGB, opaque)  # two bands over an opaque background
 
 
 def decoded(picture):
@@ -129,10 +130,10 @@ def decoded(picture):
         lambda x: jv.tone_curve(x, [0.0, 0.5, 1.0], [0.0, 0.6, 1.0]),
     ],
 )
-def test_codes_are_no_colours(encode):
+def test_integer_codes_are_refused_as_colours(encode):
     with pytest.raises(ValueError, match="divide the codes"):
         encode(np.round(255 * RGB))
-    light = 1000 * RGB  # scene-linear light beyond white, which no encoded picture holds
+    light = 1000 * RGB  # scene-linear light above white, which encoded pictures cannot hold
     if encode in (decoded, jv.srgb_decode):
         with pytest.warns(UserWarning, match="where 1 is white"):
             encode(light)
@@ -159,8 +160,8 @@ SCIPY = {
 @pytest.mark.parametrize("border", jv.filters.padding.BORDERS)
 @pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.slow)])
 @pytest.mark.sweep
-def test_an_even_kernel_of_several_pictures_size(border, method):
-    """SciPy's sums; those that it lacks entry by entry."""
+def test_an_even_kernel_several_times_as_large_as_the_picture(border, method):
+    """The references are SciPy's sums, or a loop for borders that SciPy does not have."""
     random = np.random.default_rng(3)
     picture, kernel = random.uniform(size=(3, 2)), random.uniform(0.1, 1, size=(10, 14))
     fill = 0.3 if border == "constant" else 0.0
@@ -177,7 +178,7 @@ def test_an_even_kernel_of_several_pictures_size(border, method):
 
 
 @pytest.mark.parametrize("function", ["correlate", "resize", "gaussian", "box", "convolve"])
-def test_channels_first_are_told_once_at_the_line_of_the_call(function):
+def test_channels_first_are_named_once_at_the_line_of_the_call(function):
     settings = {
         "correlate": {"kernel": np.ones((3, 3))},
         "convolve": {"kernel": np.ones((3, 3))},
@@ -194,7 +195,8 @@ def test_channels_first_are_told_once_at_the_line_of_the_call(function):
 
 
 def test_a_gaussian_far_wider_than_its_picture():
-    """SciPy's sums; the program does not grow with the kernel, whose 2401 taps took 27 s."""
+    """The reference is SciPy. The program must not grow with the kernel, whose 2401 taps took 27
+    s."""
     picture = np.random.default_rng(7).uniform(size=(6, 7))
     wanted = ndimage.gaussian_filter(picture, 300)
     np.testing.assert_allclose(jv.filters.gaussian(picture, 300.0), wanted, rtol=2e-6)
@@ -202,8 +204,9 @@ def test_a_gaussian_far_wider_than_its_picture():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("border", ["mirror", "zero", "wrap", "reflect_101"])
-def test_slopes_and_gaps_of_a_long_kernel(border):
-    """A kernel of 351 taps; the transposed filter, and NaN in its windows alone."""
+def test_gradients_and_nan_of_a_long_kernel(border):
+    """The kernel has 351 taps. The gradient is the transposed filter, and NaN is only in its own
+    windows."""
     random = np.random.default_rng(7)
     picture, other = random.uniform(size=(2, 60, 7))
     kernel = random.uniform(size=(27, 13))
@@ -224,7 +227,7 @@ def test_slopes_and_gaps_of_a_long_kernel(border):
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
 def test_half_precision_is_computed_in_float32(dtype):
-    """Products and sums that leave float16, or lose its digits, are those of float32."""
+    """Products and sums that overflow float16, or lose its digits, are computed in float32."""
     rng = np.random.default_rng(3)
     lab = jnp.asarray(rng.uniform(-150, 150, (2, 50, 3)), dtype)
     light = jnp.asarray(rng.uniform(0.01, 1, (6, 7)), dtype)
@@ -238,7 +241,7 @@ def test_half_precision_is_computed_in_float32(dtype):
 
 
 @pytest.mark.slow
-def test_a_matte_of_half_precision_is_that_of_float32():
+def test_a_matte_in_half_precision_equals_float32():
     light = np.random.default_rng(3).uniform(0.01, 1, (6, 7, 3)).astype(np.float16)
     trimap = np.broadcast_to([0, 0, 0.5, 0.5, 0.5, 1, 1], (6, 7))
     half, wide = (jv.matting.closed_form_matte(x, trimap) for x in (light, np.float32(light)))
@@ -253,7 +256,7 @@ def test_a_table_of_codes_refuses_relative_values():
     )
 
 
-def test_a_dead_pixel_does_not_spoil_the_grey_world():
+def test_a_dead_pixel_does_not_change_the_grey_world():
     picture = np.random.default_rng(5).uniform(0.1, 1, (6, 7, 3))
     dead = picture.copy()
     dead[2, 3, 1] = np.nan
@@ -266,7 +269,7 @@ def test_a_dead_pixel_does_not_spoil_the_grey_world():
     assert np.isnan(jv.development.grey_world_gains(np.full((2, 2, 3), np.nan))).all()
 
 
-def test_gains_and_indices_that_cannot_be_are_refused():
+def test_impossible_gains_and_indices_are_refused():
     with pytest.raises(ValueError, match="white_balance: gains must be at least 0"):
         jv.development.white_balance(np.ones((2, 2, 3)), np.array([-1.0, 1, 1]))
     with pytest.raises(ValueError, match=r"Glass\.index must be .*above 0"):

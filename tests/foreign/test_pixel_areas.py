@@ -1,4 +1,4 @@
-"""Pixels are means over their areas: predictions, fits and normal maps."""
+"""Tests that pixels are means over their areas, in predictions, fits and normal maps."""
 
 from dataclasses import replace
 
@@ -24,7 +24,8 @@ LIGHTS = np.stack(
 
 
 def signal(lights, parts, *, near=False):
-    """(lights, SIZE, SIZE) DN of a Phong ball by NumPy, each the mean of parts x parts points."""
+    """Return the DN of a Phong ball by NumPy, (lights, SIZE, SIZE), each the mean of parts x parts
+    points."""
     row, column = (np.indices((SIZE * parts,) * 2) + 0.5) / parts - SIZE / 2
     x, y = column / RADIUS, -row / RADIUS
     on = x**2 + y**2 < 1
@@ -55,7 +56,8 @@ def exposed(rng, linear):
 
 @pytest.mark.parametrize("near", [False, True])
 def test_predictions_are_means_over_areas(near):
-    """Against means of 24 x 24 points, the terminator included; up to 32 DN from the middle."""
+    """The reference takes means of 24 x 24 points, including the terminator, where centres are
+    wrong by up to 32 DN."""
     lights = 1.2 * LIGHTS[:3] if near else LIGHTS[:3]
     seen = observed(signal(lights, 1, near=near) + BLACK, lights, point_lights=near)
     chosen = select(seen, held_out=False, form=Form("phong"), minimum_cosine=0.0)
@@ -73,7 +75,7 @@ def test_predictions_are_means_over_areas(near):
     np.testing.assert_allclose((mean - exact)[highlight], 0, atol=0.01 * np.abs(difference).max())
 
 
-def test_normals_within_pixels_of_a_map_follow_from_neighbours():
+def test_normals_within_pixels_of_a_map_are_interpolated():
     row, column = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
     x, y = column / RADIUS, -row / RADIUS
     on = np.hypot(x, y) < 0.8
@@ -93,8 +95,8 @@ def test_normals_within_pixels_of_a_map_follow_from_neighbours():
         (8, 2.0, ""),
     ],
 )
-def test_shot_noise_that_hides_what_pixels_are_is_said(parts, gain, words):
-    """At the true parameters, with their noise."""
+def test_shot_noise_that_hides_the_type_of_pixels_is_reported(parts, gain, words):
+    """The residuals are at the true parameters, with noise."""
     shape = {"read_noise": READ, "gain": gain}
     linear = signal(LIGHTS, parts)
     electrons = np.random.default_rng(0).poisson(linear / gain)
@@ -113,8 +115,8 @@ def test_shot_noise_that_hides_what_pixels_are_is_said(parts, gain, words):
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [1, 8])
 @pytest.mark.parametrize("top", [4095, 2400])
-def test_highlights_of_a_few_pixels_have_their_width(top, parts):
-    """In pictures of a camera, and in pictures rendered at the middle of each pixel."""
+def test_highlights_of_a_few_pixels_have_the_right_width(top, parts):
+    """The pictures are from a camera, or rendered at pixel centres."""
     images = np.minimum(exposed(np.random.default_rng(0), signal(LIGHTS, parts)), top)
     camera = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ, saturation=top)
     seen = observed(images, camera=camera)
@@ -133,8 +135,8 @@ def test_highlights_of_a_few_pixels_have_their_width(top, parts):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [1, 8])
-def test_channels_are_fitted_as_each_alone(parts):
-    """The brightest, here the middle one, is fitted before the others."""
+def test_channels_are_fitted_as_if_alone(parts):
+    """The brightest channel, here the middle one, is fitted before the others."""
     shares = 0.5, 1.0, 0.7
     linear = [signal(LIGHTS, parts) * share for share in shares]
     rng = np.random.default_rng(0)

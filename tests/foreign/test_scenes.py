@@ -1,5 +1,5 @@
-"""Scenes, lenses and cameras as others write them: what cannot be meant is refused, and what a
-picture lacks is said."""
+"""Tests scenes, lenses and cameras as others write them: impossible ones are refused, and light
+that a picture lacks is named."""
 
 import warnings
 from dataclasses import replace
@@ -25,8 +25,8 @@ LAMP = jv.PointLight([0.0, 0, 2], [4.0])
 PANEL = jv.RectangleLight([-0.25, -0.25, 2], [0.0, 0.5, 0], [0.5, 0.0, 0], [4 / 0.25])
 BELOW = jv.Orthographic([0.0, 0, 0.45], DOWN, 0.01, resolution=(9, 9))
 BEHIND_GLASS = jv.Scene([FLOOR, PANE], [LAMP])
-# At the centre below the pane: one face transmits 0.96, the pane (1 - R) / (1 + R) of all orders,
-# and the lamp seems nearer by t (1 - 1 / n).
+# At the centre below the pane: one face transmits 0.96, the pane (1 - R) / (1 + R) summed over all
+# orders, and the lamp seems nearer by t (1 - 1 / n).
 THROUGH = 0.5 / np.pi * 4 / (2 - 0.1 * (1 - 1 / 1.5)) ** 2 * (0.96 / 1.04)
 
 
@@ -41,7 +41,7 @@ def test_light_of_a_point_behind_a_window_is_named(integrator):
 
 
 @pytest.mark.slow
-def test_what_finds_all_light_says_nothing():
+def test_integrators_that_find_all_light_report_nothing():
     assert missing_light(BEHIND_GLASS, integrator="light", depth=6, view=BELOW) == []
     area = replace(BEHIND_GLASS, lights=(PANEL,))
     assert missing_light(area, integrator="path", depth=6, view=BELOW) == []
@@ -58,7 +58,7 @@ def test_the_camera_behind_glass_is_black_by_light_tracing():
 
 @pytest.mark.slow
 def test_the_sentences_agree_with_pictures():
-    """What is said to be missing is black, and what is said to have it shows the closed form."""
+    """Pictures said to lack light are black, and the others have the closed form's value."""
     key = jax.random.key(0)
     wide = replace(BELOW, pixel_pitch=jnp.asarray(0.03))
     found = light_traced(key, BEHIND_GLASS, wide, paths=400_000, depth=6).radiance.mean()
@@ -75,7 +75,7 @@ def test_the_sentences_agree_with_pictures():
 
 
 @pytest.mark.slow
-def test_glass_that_takes_more_pieces_than_depth_is_named():
+def test_glass_that_needs_more_segments_than_depth_is_named():
     area = replace(BEHIND_GLASS, lights=(PANEL,))
     assert any(
         "depth = 3" in s and "to 4" in s
@@ -91,7 +91,7 @@ def test_glass_that_takes_more_pieces_than_depth_is_named():
     assert "up to 14 pieces" in said  # 6 faces twice, the floor and the lamp
 
 
-def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
+def test_lamps_that_paths_through_glass_rarely_hit_are_named():
     chip = jv.RectangleLight([-0.005, -0.005, 2], [0.0, 0.01, 0], [0.01, 0.0, 0], [4e4])
     (said,) = missing_light(jv.Scene([FLOOR, PANE], [chip]), integrator="path")
     assert "one path in 125,664" in said  # pi 2^2 / 1e-4
@@ -104,8 +104,8 @@ def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
 
 
 @pytest.mark.slow
-def test_the_share_of_pixels_that_meet_rare_light_is_said():
-    """A caustic under a pane, of a chip that one path in 31,416 meets at most."""
+def test_the_share_of_pixels_with_rare_light_is_reported():
+    """The caustic under a pane is from a small lamp that at most one path in 31,416 hits."""
     chip = jv.RectangleLight([-0.01, -0.01, 2], [0.0, 0.02, 0], [0.02, 0.0, 0], [4e4])
     scene = jv.Scene([FLOOR, PANE], [chip])
     (said,) = missing_light(scene, integrator="path", samples=256)
@@ -114,7 +114,7 @@ def test_the_share_of_pixels_that_meet_rare_light_is_said():
     wide = replace(BELOW, pixel_pitch=jnp.asarray(0.005), resolution=(100, 100))
     found = path_traced(jax.random.key(0), scene, wide, method=Paths(samples=256, depth=4))
     met = float((found.radiance[..., 0] > 0).mean())
-    assert 0.4 * given < met < 1.1 * given  # 0.92 of the light passes the pane, at a slant less
+    assert 0.4 * given < met < 1.1 * given  # the pane transmits 0.92, at an angle less
     assert (np.asarray(found.error[..., 0])[np.asarray(found.radiance[..., 0]) == 0] == 0).all()
 
 
@@ -129,7 +129,7 @@ def _sky_with_sun(rows, sun):
 )
 @pytest.mark.sweep("order=16")
 def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
-    """The sum of the map's own pixels is the oracle, and the sentence's number is the picture's."""
+    """The reference is the sum over the map's own pixels. The printed number is the picture's."""
     sun = 4e4
     scene = jv.Scene([FLOOR], [_sky_with_sun(rows, sun)], rules=(own,))
     (said,) = missing_light(scene, integrator="direct")
@@ -153,8 +153,8 @@ def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
 
 
 def sky_with_a_sun(rows: int) -> tuple[jv.EnvironmentMap, float]:
-    """A sky that is black but for one pixel, and the radiance of the floor under it: radiance times
-    solid angle times the cosine to the zenith, in closed form."""
+    """Return a sky that is black except for one pixel, and the radiance of the floor below it in
+    closed form: radiance times solid angle times the cosine to the zenith."""
     row, columns = rows // 6, 2 * rows
     radiance = np.zeros((rows, columns, 1))
     radiance[row, 7] = 1e5
@@ -167,7 +167,7 @@ def sky_with_a_sun(rows: int) -> tuple[jv.EnvironmentMap, float]:
 @pytest.mark.parametrize("rows", [64, 200])
 @pytest.mark.parametrize("name", ["render", "ray_traced", "outgoing_radiance"])
 def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
-    """The picture is black or far too bright by a quadrature; the cure that is named finds it."""
+    """With a quadrature the picture is black or far too bright. The advised setting is right."""
     sky, true = sky_with_a_sun(rows)
     scene, up = jv.Scene([FLOOR], [sky]), jnp.array([0.0, 0.0, 1.0])
     calls = {
@@ -187,7 +187,7 @@ def test_pictures_warn_of_a_sun_that_their_quadrature_misses(name, rows):
 
 
 @pytest.mark.slow
-def test_pictures_of_smooth_skies_say_nothing():
+def test_pictures_of_smooth_skies_cause_no_warning():
     clear = jv.lights.daylight(12, [0.3, 0.2, 0.8], irradiance=[1.0])
     for sky in (jv.environment_map(np.ones((4, 8, 1))), clear):
         picture = jv.render(jv.Scene([FLOOR], [sky]), BELOW)
@@ -195,7 +195,7 @@ def test_pictures_of_smooth_skies_say_nothing():
 
 
 @pytest.mark.slow
-def test_skies_that_a_quadrature_finds_are_not_named():
+def test_skies_that_a_quadrature_integrates_are_not_named():
     height = np.cos(np.pi * (np.arange(64) + 0.5) / 64)[:, None, None]
     cloudy = np.where(height > 0, (1 + 2 * height) / 3, 0.1) * np.ones((1, 128, 1))
     even = np.ones((4, 8, 1))
@@ -209,7 +209,7 @@ def _glossy(alpha, **kwargs):
     return replace(FLOOR, material=jv.TorranceSparrow([0.0], [1.0], alpha, **kwargs))
 
 
-# Beside each, what `Quadrature` says of its error under a lamp as wide as it is far.
+# The comments give the error that `Quadrature` states for a lamp as wide as its distance.
 @pytest.mark.parametrize(
     ("material", "order", "said"),
     [
@@ -218,7 +218,7 @@ def _glossy(alpha, **kwargs):
         (jv.TorranceSparrow([0.0], [1.0], 0.05), 8, True),  # -16 %
         (jv.TorranceSparrow([0.0], [1.0], 0.02), 16, True),  # -27 %
         (jv.PhongBRDF([0.1], [1.0], 1000.0), 8, True),  # 120 %
-        (jv.GaussianLobeBRDF([0.1], [1.0], 22.0), 8, True),  # as that
+        (jv.GaussianLobeBRDF([0.1], [1.0], 22.0), 8, True),  # like the previous one
         (jv.TorranceSparrow([0.0], [1.0], 0.1), 8, False),  # -0.9 %
         (jv.TorranceSparrow([0.0], [1.0], 0.05), 16, False),  # -0.8 %
         (jv.TorranceSparrow([0.0], [1.0], 0.02), 32, False),  # -3 %
@@ -243,7 +243,7 @@ def test_a_lobe_between_the_samples_of_a_lamp_is_named(material, order, said):
     ("alpha", "height", "said"), [(0.02, 100.0, 1), (0.3, 1.0, 0), (0.02, 0.5, 0), (0.02, 0.0, 0)]
 )
 def test_the_gloss_of_a_measured_table_between_the_samples_of_a_lamp_is_named(alpha, height, said):
-    """Facets of Beckmann's slopes in bins of half angles, on a body of albedo 0.3."""
+    """The facets have Beckmann's slopes, in bins of half angles, on a body of albedo 0.3."""
     half = np.asarray(bin_angles(jv.HalfDifferenceTable(jnp.zeros((90, 4, 4, 1))))[0])
     values = 0.1 + height * np.exp(-((np.tan(half) / alpha) ** 2))
     table = jv.HalfDifferenceTable(np.broadcast_to(values[:, None, None, None], (90, 4, 4, 1)))
@@ -264,7 +264,7 @@ def test_a_lobe_between_the_directions_of_a_sky_is_named():
         assert len(found) == count
 
 
-def test_what_a_nearly_smooth_wall_throws_is_rare_to_paths():
+def test_light_from_a_nearly_smooth_wall_is_rare_for_paths():
     sun = jv.DirectionalLight([1.0, 0, 1], [1.0])
     for alpha, words in ((1e-3, "one path in 250,000"), (0.1, "")):
         wall = replace(_glossy(alpha), shape=jv.Quad([-2.0, -2, 0], [0.0, 4, 0], [0.0, 0, 4]))
@@ -274,7 +274,7 @@ def test_what_a_nearly_smooth_wall_throws_is_rare_to_paths():
         assert missing_light(jv.Scene([wall], [sun]), integrator="path") == []
 
 
-def test_an_open_mesh_of_glass_is_named():
+def test_an_open_glass_mesh_is_named():
     corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     said = []
@@ -332,13 +332,13 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_meant_is_refused(case):
+def test_impossible_records_are_refused(case):
     call, words = REFUSED[case]
     with pytest.raises(ValueError, match=words):
         call()
 
 
-def test_no_direction_to_look_at_is_nan_where_it_is_traced():
+def test_an_undefined_view_direction_is_nan_if_traced():
     look, place, up = jax.jit(jv.look_at), np.ones(3), np.array([0.0, 0, 1])
     for nowhere in (look(place, place, up), look(place, place + up, up), look(place, up, 0 * up)):
         assert np.isnan(nowhere).all()
@@ -349,7 +349,7 @@ def test_no_direction_to_look_at_is_nan_where_it_is_traced():
     assert np.allclose(slope, np.array([-2.0, 1, 1]) / 3**1.5, atol=1e-6)
 
 
-def test_what_can_be_meant_is_kept():
+def test_unusual_but_possible_records_are_accepted():
     assert jv.TorranceSparrow([0.0], [1.0], 1.5).roughness == 1.5
     assert float(jv.Sensor(prnu=0.3).prnu) == pytest.approx(0.3)
     assert float(jv.image_distance(jnp.inf, 57.6)) == pytest.approx(57.6)  # a telescope
@@ -403,7 +403,7 @@ intensity = [10]
         ("name = scene", "not a TOML file"),
     ],
 )
-def test_a_number_with_a_unit_is_told_as_such(tmp_path, line, words):
+def test_a_number_with_a_unit_is_refused_as_such(tmp_path, line, words):
     file = tmp_path / "scene.toml"
     file.write_text(f"[camera]\n{line}\n")
     with pytest.raises(InputError, match=words):
@@ -419,8 +419,8 @@ def test_a_field_of_view_of_180_degrees_is_not_said_to_be_allowed(tmp_path):
         jv.files.scenes.read_scene(tmp_path / "scene.toml")
 
 
-def test_places_in_a_list_are_counted_alike(tmp_path):
-    """light[1] is the first; its direction has two numbers of three."""
+def test_entries_of_lists_are_numbered_from_one(tmp_path):
+    """light[1] is the first light, and its direction has two numbers instead of three."""
     text = '[camera]\nkind = "orthographic"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\nwidth = 1\n'
     text += 'resolution = [2, 2]\n[[surface]]\nshape = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n'
     text += "emission = [1]\n"
@@ -432,11 +432,11 @@ def test_places_in_a_list_are_counted_alike(tmp_path):
         jv.files.scenes.read_scene(tmp_path / "scene.toml")
 
 
-EAST = np.array([452300.0, 5411827.0, 430.0])  # a place in the coordinates of a surveyor, m
+EAST = np.array([452300.0, 5411827.0, 430.0])  # m, in a surveyor's coordinates
 
 
 def roof(file, at):
-    """Twelve facets of 4 m by 2.3 m, by turns 0.6 m up and down, as an OBJ."""
+    """Write twelve facets of 4 m by 2.3 m, alternately 0.6 m up and down, as an OBJ."""
     lines = []
     for i in range(12):
         y, z, w = 2.3 * i, 0.6 * (i % 2), 0.6 * ((i + 1) % 2)
@@ -453,19 +453,19 @@ def slopes(mesh):
     return np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), np.abs(normals[:, 2]))
 
 
-def test_a_mesh_in_surveyors_coordinates_says_what_rounding_does(tmp_path):
+def test_rounding_of_a_mesh_in_surveyors_coordinates_is_named(tmp_path):
     file, slope = roof(tmp_path / "utm.obj", EAST), np.arctan2(0.6, 2.3)
     with pytest.warns(UserWarning, match=r"5.41e\+06 m .* float32 moves .* by up to 0.2 m .* near"):
         coarse = jv.files.meshes.read_mesh(file, dtype="float32")
     assert np.abs(slopes(coarse) - slope).max() > 0.01
     assert "numbers of float32 are 0.5 m apart" in jv.geometry.problems(coarse)[0]
     for given in ({"dtype": "float64"}, {"dtype": "float32", "position": -EAST}):
-        mesh = jv.files.meshes.read_mesh(file, **given)  # without a word
+        mesh = jv.files.meshes.read_mesh(file, **given)  # no warning
         np.testing.assert_allclose(slopes(mesh), slope, rtol=1e-3)
         assert jv.geometry.problems(mesh) == []
 
 
-def test_triangles_that_rounding_flattens_are_told_from_those_of_the_file(tmp_path):
+def test_triangles_flattened_by_rounding_are_distinguished_from_those_of_the_file(tmp_path):
     text = "".join(f"v {EAST[0]} {EAST[1] + y} {x}\n" for x, y in ((0, 0), (1, 0), (0, 0.2)))
     text += f"v {EAST[0]} {EAST[1] + 5} 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
     (tmp_path / "m.obj").write_text(text)
@@ -480,7 +480,7 @@ def test_triangles_that_rounding_flattens_are_told_from_those_of_the_file(tmp_pa
 
 @pytest.mark.parametrize("at", [0.0, 1e5])
 def test_a_scene_far_from_the_origin_is_named(tmp_path, at):
-    """At 1e5 m numbers of float32 are 8 mm apart, and the picture of a ball of 1 m is wrong."""
+    """At 1e5 m numbers in float32 are 8 mm apart, and the picture of a 1 m ball is wrong."""
     (tmp_path / "s.toml").write_text(f"""
 [camera]
 kind = "pinhole"
@@ -562,7 +562,7 @@ def test_no_radiosity_is_solved_for_albedos_above_1():
 
 
 @pytest.mark.slow
-def test_known_scenes_are_looked_at_inside_a_trace_too():
+def test_known_scenes_are_checked_inside_a_trace():
     shapes = [
         jv.Box([0, 0, 0], [1, 1, 1]),
         jv.Sphere([3, 0, 0], 1),
@@ -583,7 +583,7 @@ def test_known_scenes_are_looked_at_inside_a_trace_too():
         assert sum("times the light that it receives" in str(one.message) for one in said) == warned
 
 
-def test_records_of_known_numbers_are_made_inside_a_trace_too():
+def test_records_of_known_numbers_are_checked_inside_a_trace():
     coat = jv.Coated(GREY, jv.Dielectric([1.5]), 0.1)
     full, basis, warm = jnp.array([0, np.pi, 2 * np.pi]), jnp.ones((3, 3)), jnp.asarray(5000.0)
     for make in (
@@ -595,7 +595,7 @@ def test_records_of_known_numbers_are_made_inside_a_trace_too():
 
 
 @pytest.mark.slow
-def test_shapes_far_from_the_origin_are_named_by_python_too():
+def test_shapes_far_from_the_origin_are_named_in_python():
     east = np.array([1e5, 1e5, 0])
     view = replace(BELOW, position=jnp.asarray(BELOW.position + east, jnp.float32))
     ball = jv.as_dtype(jv.Sphere(east, 1.0), "float32")
@@ -630,9 +630,9 @@ def test_no_sensor_is_in_focus_at_a_virtual_image():
     assert float(jv.image_distance(0.03, 0.05)) == pytest.approx(-0.075)
 
 
-def test_a_lens_that_no_glass_allows_is_named():
-    """Conservation of energy: no sensor gets more than pi times a uniform radiance. In focus at
-    infinity that is f/0.5 (E = pi L / 4 N^2 on the axis)."""
+def test_an_impossible_f_number_is_named():
+    """By conservation of energy, no sensor gets more than pi times a uniform radiance. Focused at
+    infinity, f/0.5 gives that (E = pi L / 4 N^2 on the axis)."""
 
     def on_axis(f_number):
         lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=f_number)
@@ -644,7 +644,7 @@ def test_a_lens_that_no_glass_allows_is_named():
 
 
 def test_a_record_that_is_missing_is_named():
-    """A lamp without a material has one that reflects nothing; None is no material."""
+    """A lamp needs a material that reflects nothing, because None is not a material."""
     lamp = jv.Sphere([0, 0, 0], 1.0)
     with pytest.raises(ValueError, match=r"Surface\.material must be .*Material, got None"):
         jv.Surface(lamp, None, emission=[1.0])
@@ -653,9 +653,9 @@ def test_a_record_that_is_missing_is_named():
 
 
 @pytest.mark.slow
-def test_a_kernel_of_diffraction_that_cuts_its_rings_is_named():
-    """f/64 on pixels of 1 um: the first dark ring has a radius of 43 pixels, the default kernel 16.
-    The middle pixel keeps pi / (2 lambda N)^2 of a point's light."""
+def test_a_diffraction_kernel_that_cuts_its_rings_is_named():
+    """At f/64 on pixels of 1 um the first dark ring has a radius of 43 pixels, and the default
+    kernel of 16. The centre pixel gets pi / (2 lambda N)^2 of a point's light."""
     lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-6, resolution=(1, 1), f_number=64.0)
     true = np.pi / (2 * 550e-9 * 64) ** 2 * 1e-12
     pitch = jnp.asarray(1e-6)
@@ -683,7 +683,7 @@ UNDER_IT = {
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", UNDER_IT.values(), ids=UNDER_IT)
 def test_a_surface_near_a_wide_lamp_is_named(shape):
-    """Under an endless lamp the irradiance is pi L, here 1 W/m^2."""
+    """Under an infinite lamp the irradiance is pi L, here 1 W/m^2."""
     scene = jv.Scene([jv.Surface(shape, GREY)], [NEAR])
     (said,) = missing_light(scene, integrator="direct")
     assert "light of lights[0] at 0.01" in said
@@ -692,7 +692,7 @@ def test_a_surface_near_a_wide_lamp_is_named(shape):
     assert missing_light(scene, integrator="path") == []
 
 
-def test_lamps_beside_surfaces_that_they_light_little_are_not_named():
+def test_lamps_near_surfaces_that_they_hardly_light_are_not_named():
     wall = jv.RectangleLight([-0.5, -0.5, 0], [0, 0, 1], [0, 1, 0], [1.0])  # from the floor up
     lamp = jv.RectangleLight([-0.5, -0.5, 1], [0, 1, 0], [1, 0, 0], [1.0])
     panel = jv.Surface(jv.Quad([-0.5, -0.5, 1], [0, 1, 0], [1, 0, 0]), GREY, two_sided=True)
@@ -716,7 +716,7 @@ def test_pictures_warn_of_a_surface_near_a_wide_lamp():
 
 @pytest.mark.parametrize("by_paths", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_pictures_of_a_camera_at_nan_are_nan(by_paths):
-    """A black picture would be taken for a dark scene, as by a fit whose step failed."""
+    """A black picture would look like a dark scene, for example to a fit whose step failed."""
     scene = jv.Scene([FLOOR], [LAMP, jv.environment_map(np.ones((2, 4, 1)))])
 
     @jax.jit

@@ -1,4 +1,5 @@
-"""Flats and darks of cameras that leak light, glow on, change their gain or move between frames."""
+"""Tests flats and darks of cameras with light leaks, afterglow, changes of gain, or movement
+between frames."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,13 +34,14 @@ EXPOSURES = ELECTRONS / ELECTRONS[-1]  # s
 
 
 def exposed(rng, electrons, *, gain=K, prnu=1.0, offsets=0.0, dtype=np.uint16):
-    """A frame of 12 bits."""
+    """Return a 12-bit frame."""
     e = rng.poisson(np.broadcast_to(electrons * prnu, SHAPE)) + READ * rng.standard_normal(SHAPE)
     return np.clip(np.rint(BLACK + gain * e + offsets), 0, 4095).astype(dtype)
 
 
 def series(rng, *, frames=3, leak=0.0, count=None):
-    """Flats and darks; `leak` is what each pixel collects without light, electrons a second."""
+    """Return flats and darks. `leak` is the signal of each pixel without light, in electrons per
+    second."""
     prnu, offsets = 1 + 0.005 * rng.standard_normal(SHAPE), 0.5 * rng.standard_normal(SHAPE)
     own = {"prnu": prnu, "offsets": offsets}
     flats, darks = [], []
@@ -55,17 +57,17 @@ def measured(flats, darks, **others):
     return noise.from_frames(flats, darks, times, camera=noise.Camera(bits=12), **others)
 
 
-def test_light_that_leaks_is_named_by_darks_that_become_uneven():
+def test_light_leaks_are_named_if_darks_become_uneven():
     leak = 400 * np.linspace(0, 1, SHAPE[1]) ** 2
     found = measured(*series(np.random.default_rng(1), leak=leak))
     (said,) = told(SimpleNamespace(measurement=found), "glow")
-    # Of t s the leak has a standard deviation of K t std(leak).
+    # At t s the leak has a standard deviation of K t std(leak).
     uneven = float(said.split("by ")[1].split()[0])
     assert abs(uneven / (K * leak.std()) - 1) < 0.02
     assert "Light leaks in" in said
 
 
-def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():
+def test_unequal_dark_current_is_not_a_light_leak():
     rng = np.random.default_rng(2)
     own = rng.exponential(200, SHAPE)
     found = measured(*series(rng, leak=own))
@@ -73,7 +75,7 @@ def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():
 
 
 @pytest.mark.slow
-def test_figures_of_the_standard_stand_where_the_likelihood_has_no_maximum(monkeypatch):
+def test_the_standards_values_are_given_if_the_likelihood_has_no_maximum(monkeypatch):
     def none(*_, **__):
         raise InputError("The best fit is no proper maximum, so it has no standard errors.")
 
@@ -94,7 +96,7 @@ def test_figures_of_the_standard_stand_where_the_likelihood_has_no_maximum(monke
 
 
 def test_a_pattern_that_fits_no_model_is_not_called_hidden_under_noise():
-    """Offsets of 70 DN at 1 s, and the likelihood's fit to all levels."""
+    """The offsets are 70 DN at 1 s, and the likelihood is fitted to all levels."""
     leak = 400 * np.linspace(0, 1, SHAPE[1]) ** 2
     found = measured(*series(np.random.default_rng(4), leak=leak))
     pattern = fitted_pattern(found, np.arange(len(ELECTRONS)))
@@ -102,7 +104,7 @@ def test_a_pattern_that_fits_no_model_is_not_called_hidden_under_noise():
     assert "more frames do not help" in _why_hidden(pattern, pattern.dark)
 
 
-def test_a_pattern_under_noise_is_called_hidden_under_noise():
+def test_a_pattern_below_the_noise_is_called_hidden():
     rng = np.random.default_rng(5)
     levels = [[[exposed(rng, x) for _ in range(2)] for x in own] for own in (ELECTRONS, 8 * [0.0])]
     pattern = fitted_pattern(measured(*levels), np.arange(len(ELECTRONS)))
@@ -115,15 +117,15 @@ def doubted(found):
     return {doubt.of: doubt.sentence for doubt in found.doubts}
 
 
-def test_afterglow_of_flats_is_no_dark_current():
-    """A hundredth of the charge of a flat in the dark that follows it, then half of that again."""
+def test_afterglow_of_flats_is_not_dark_current():
+    """A dark after a flat has a hundredth of its charge, and the next dark half of that."""
     rng = np.random.default_rng(6)
     flats, _ = series(rng)
     darks = [[exposed(rng, 0.01 * x * 0.5**i) for i in range(3)] for x in ELECTRONS]
     ((names, told),) = doubted(measured(flats, darks)).items()
     assert names == ("dark_current_mean", "dark_current_variance", "dark_current")
     assert "afterglow" in told
-    # 99 and 66 DN are the first and third mean of the brightest level: 64 + 35, 64 + 9 DN.
+    # 99 and 66 DN are the first and the third mean of the brightest level: 64 + 35 and 64 + 9 DN.
     first, _, third = (float(x) for x in told.split("means of ")[1].split(" DN")[0].split(","))
     assert abs(first - 99) < 0.2
     assert abs(third - 72.75) < 0.2
@@ -144,8 +146,8 @@ def test_levels_of_two_gains_are_named_at_the_break():
     assert abs(high / (4 * K) - 1) < 0.05
 
 
-def test_darks_that_the_camera_subtracted_from_itself_are_named():
-    """Noise reduction from the fifth exposure on."""
+def test_darks_with_the_cameras_noise_reduction_are_named():
+    """The camera subtracts a dark from the fifth exposure on."""
     rng = np.random.default_rng(8)
 
     def own(i, electrons):
@@ -163,8 +165,8 @@ def test_darks_that_the_camera_subtracted_from_itself_are_named():
     assert f"from that of darks[4][0] ({EXPOSURES[4]:.3g} s) on" in told
 
 
-def test_two_gains_in_the_heads_of_fits_files_are_told_apart(tmp_path):
-    """GAIN in the camera's own unit; 0 is a gain, too."""
+def test_two_gains_in_the_headers_of_fits_files_are_distinguished(tmp_path):
+    """GAIN is in the camera's own unit, where 0 is a gain, too."""
     stated = []
     for i, gain in enumerate([0, 0, 0, 120]):
         head = fits.Header({"GAIN": gain})
@@ -179,8 +181,8 @@ def test_two_gains_in_the_heads_of_fits_files_are_told_apart(tmp_path):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.sweep
-def test_clean_series_raise_no_doubt(seed):
-    """With dark current, a lamp that warms up and black that drifts."""
+def test_good_series_cause_no_warning(seed):
+    """The series have dark current, a lamp that warms up, and a drifting black level."""
     rng = np.random.default_rng(20 + seed)
     flats, darks = [], []
     for light, seconds in zip(ELECTRONS, EXPOSURES, strict=True):
@@ -198,7 +200,7 @@ def test_clean_series_raise_no_doubt(seed):
 
 
 def moving(rng, frames, *, step=1, prnu=0.03):
-    """Flats and darks, the gains of odd frames displaced by so many rows."""
+    """Return flats and darks where the pixels of odd frames are shifted by some rows."""
     die = 1 + prnu * rng.standard_normal((SHAPE[0] + step, SHAPE[1]))
     own = [die[(i % 2) * step :][: SHAPE[0]] for i in range(frames)]
     flats = [[exposed(rng, x, prnu=p) for p in own] for x in ELECTRONS]
@@ -223,7 +225,7 @@ def test_pairs_between_which_the_camera_moved_are_refused():
 
 
 @pytest.mark.parametrize("frames", [2, 5])
-def test_unequal_pixels_that_stand_still_have_not_moved(frames):
+def test_unequal_pixels_without_movement_are_not_called_moved(frames):
     found = measured(*moving(np.random.default_rng(11), frames, step=0))
     assert found.bright.left_out == ()
 
@@ -236,8 +238,8 @@ def test_unequal_pixels_that_stand_still_have_not_moved(frames):
         (np.s_[::2, 1::2], "row and column (0, 1) of every cell of 2 x 2, where bit 3"),
     ],
 )
-def test_codes_that_never_occur_in_some_lines_are_named_and_left_out(place, said):
-    """Bit 3 always 1; of the rest gain, black and the noise of the darks are right."""
+def test_lines_with_a_stuck_bit_are_named_and_left_out(place, said):
+    """Bit 3 is always 1. From the other pixels, gain, black level and dark noise are right."""
     flats, darks = series(np.random.default_rng(12))
     for frame in (frame for level in (*flats, *darks) for frame in level):
         frame[place] |= 8
@@ -258,7 +260,7 @@ def test_clean_and_left_aligned_numbers_have_no_stuck_bit(step):
 
 
 def two_amplifiers(rng, *, gain=0.5, over=400):
-    """Codes of one amplifier below 400 DN, above of another one in steps of 16."""
+    """Return codes of one amplifier below 400 DN, and of another with steps of 16 above."""
     frames = []
     for electrons in (0.0, 60.0, 120.0, 240.0, 400.0, 1500.0, 3000.0, 6000.0):
         e = rng.poisson(electrons, (2, *SHAPE))
@@ -268,7 +270,7 @@ def two_amplifiers(rng, *, gain=0.5, over=400):
     return frames
 
 
-def test_codes_of_a_second_amplifier_are_named_and_left_to_it():
+def test_codes_of_a_second_amplifier_are_named_and_left_out():
     darks, *flats = two_amplifiers(np.random.default_rng(14))
     found = measured(flats, [darks], dark_exposures=[0.1])
     converter = found.converter
@@ -286,21 +288,21 @@ def test_one_amplifier_has_steps_of_one_size():
         assert converter_of(frames).coarse_from is None
 
 
-def test_numbers_of_single_precision_are_divided_by_whole_ones():
+def test_single_precision_numbers_are_divided_by_integers():
     flats, _ = series(np.random.default_rng(16), count=3)
     (told,) = converter_in_words(converter_of([x / 65535 for level in flats for x in level]), 1.0)
     assert "multiple of 1/65535: the frames were divided by 65535" in told
 
 
 def resized(frame, factor):
-    """By a bicubic filter, as an export does."""
+    """Return a frame resized by a bicubic filter, as by an export."""
     size = tuple(round(factor * n) for n in frame.shape[::-1])
     image = Image.fromarray(frame.astype(np.float32)).resize(size, Image.Resampling.BICUBIC)
     return np.clip(np.rint(np.asarray(image)), 0, 4095).astype(np.uint16)
 
 
 @pytest.mark.parametrize(("factor", "every"), [(4 / 3, "fourth"), (2, "second")])
-def test_resized_flats_are_no_jpeg_and_get_no_taps(factor, every):
+def test_resized_flats_are_not_jpeg_and_get_no_taps(factor, every):
     flats, darks = (
         [[resized(frame, factor) for frame in level] for level in levels]
         for levels in series(np.random.default_rng(17))
@@ -315,14 +317,14 @@ def test_resized_flats_are_no_jpeg_and_get_no_taps(factor, every):
     assert not _periodic(seen)
 
 
-def test_numbers_below_zero_are_no_matter_of_bits():
+def test_numbers_below_zero_are_refused_by_their_cause():
     flats, darks = series(np.random.default_rng(18), count=3)
     with pytest.raises(InputError, match=r"below 0, down to -\d+, as where a black level was"):
         measured(*([[x.astype(np.int16) - 64 for x in y] for y in z] for z in (flats, darks)))
 
 
 def table(folder, power):
-    """Exact moments of a camera, the variances as this power of themselves."""
+    """Write exact moments of a camera as a table, with variances raised to a power."""
     variance = K**2 * (ELECTRONS + READ**2)
     rows = [
         f"{e},{e},{BLACK + K * e},{v**power},{BLACK},{(K * READ) ** (2 * power)},4096"
@@ -340,14 +342,14 @@ def test_standard_deviations_in_a_table_of_variances_are_refused(tmp_path):
 
 
 def electron_multiplying(rng, electrons, gain=50.0):
-    """A frame of an EMCCD of .1 DN for each electron behind its register."""
+    """Return a frame of an EMCCD with .1 DN per multiplied electron."""
     counts = rng.poisson(electrons, SHAPE)
     behind = np.where(counts > 0, rng.gamma(np.maximum(counts, 1), gain), 0.0)
     return np.rint(500 + 0.1 * (behind + 25 * rng.standard_normal(SHAPE))).astype(np.uint16)
 
 
-def test_multiplied_electrons_are_named_and_have_no_gain_of_light():
-    """5 DN for an electron of a pixel; variance over signal is 10 DN."""
+def test_multiplied_electrons_are_named_and_have_no_gain():
+    """Each photoelectron gives 5 DN, and variance over signal is 10 DN."""
     rng = np.random.default_rng(19)
     light = np.geomspace(1, 1000, 8)
     flats = [[electron_multiplying(rng, x) for _ in range(2)] for x in light]
@@ -363,7 +365,7 @@ def test_multiplied_electrons_are_named_and_have_no_gain_of_light():
 
 
 @pytest.mark.parametrize("gain", [0.5, 5.0])
-def test_dim_flats_of_light_alone_are_as_skewed_as_poisson_noise(gain):
+def test_dim_flats_are_as_skewed_as_poisson_noise(gain):
     rng = np.random.default_rng(20)
     light = np.geomspace(1, 500, 8)
     hot = rng.exponential(2.0, SHAPE)
@@ -378,7 +380,7 @@ def test_dim_flats_of_light_alone_are_as_skewed_as_poisson_noise(gain):
 
 
 def ageing(rng, fall, *, flicker=0.0):
-    """Fourteen levels of two frames in turn, under a lamp that falls by a share in all."""
+    """Return fourteen levels of two frames in turn, under a lamp that falls by a share in total."""
     light, order = np.linspace(300, 7000, 14), iter(np.linspace(0, 1, 28))
 
     def lit(electrons):
@@ -391,15 +393,16 @@ def ageing(rng, fall, *, flicker=0.0):
 
 
 @pytest.mark.slow
-def test_a_lamp_that_fades_over_the_series_is_no_curved_response():
+def test_a_fading_lamp_is_not_a_curved_response():
     found = noise.calibrate(ageing(np.random.default_rng(20), 0.08))
     gain = found.estimates["system_gain"]
     assert abs(gain.value - K) < 3 * gain.standard_error < 0.03 * K
     assert not any("not linear" in one for one in section(found).findings)
 
 
-def test_a_lamp_that_fades_is_named_with_what_a_frame_loses():
-    """0.08 / 27 of the first frame is lost a frame, and 0.3084 % of a frame in the middle."""
+def test_a_fading_lamp_is_named_with_its_rate():
+    """The lamp loses 0.08 / 27 of the first frame per frame, which is 0.3084 % of a frame in the
+    middle."""
     found = ageing(np.random.default_rng(20), 0.08)
     drift = SimpleNamespace(measurement=found, usable=linear_levels(found))
     (said,) = told(drift, "drifting")
@@ -415,13 +418,13 @@ def test_a_lamp_that_flickers_does_not_drift(flicker):
 
 
 def own_darks(rng, seconds, current):
-    """Darks of long exposures, whose dark current fills half of the range."""
+    """Return darks of long exposures, whose dark current fills half of the range."""
     return [[exposed(rng, current * t) for _ in range(2)] for t in seconds]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("current", [200.0, 4000.0])
-def test_a_large_dark_current_is_found_and_leaves_the_gain(current):
+def test_a_large_dark_current_is_found_and_does_not_change_the_gain(current):
     rng, seconds = np.random.default_rng(5), [0.01, 0.1, 0.5, 1.0]
     flats = [[exposed(rng, e + 0.01 * current) for _ in range(2)] for e in ELECTRONS]
     darks = own_darks(rng, seconds, current)
@@ -434,7 +437,7 @@ def test_a_large_dark_current_is_found_and_leaves_the_gain(current):
 
 
 @pytest.mark.slow
-def test_settings_with_steps_of_their_own_are_predicted():
+def test_settings_with_their_own_steps_are_predicted():
     def frames(rng, iso, step):
         def shot(electrons):
             return step * exposed(rng, electrons, gain=K * iso / 100 / step)
@@ -445,7 +448,7 @@ def test_settings_with_steps_of_their_own_are_predicted():
         measured = noise.from_frames(flats, darks, [0.01] * 8, ELECTRONS / (iso / 100), **of)
         return noise.FramesOfSetting(noise.Setting(iso), measured)
 
-    rng = np.random.default_rng(6)  # the second gain multiplies the numbers of the first
+    rng = np.random.default_rng(6)  # the second gain multiplies the first gain's numbers
     camera = noise.calibrate_settings([frames(rng, 100, 1), frames(rng, 400, 4)])
     (one, _), (four, _) = (noise.sensor_at(camera, gain=iso) for iso in (100, 400))
     assert abs(float(four.gain) / float(one.gain) - 1) < 0.03
@@ -455,7 +458,7 @@ def test_settings_with_steps_of_their_own_are_predicted():
 
 
 @pytest.mark.slow
-def test_one_level_in_the_range_of_linearity_leaves_the_other_figures():
+def test_one_level_in_the_linear_range_does_not_affect_the_other_results():
     rng, light = np.random.default_rng(7), np.array([1.0, 2, 5, 10, 20, 40, 600, 7000])
     flats = [[exposed(rng, e) for _ in range(2)] for e in light]
     darks, of = [[exposed(rng, 0) for _ in range(2)]], {"dark_exposures": [0.01]}
@@ -477,7 +480,7 @@ def test_a_stated_black_level_that_the_darks_contradict_is_named(stated, named):
 
 
 def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6, taken=None):
-    """Levels of two frames under a lamp whose light is off by a factor in each of them."""
+    """Return a calibration of levels of two frames, with a factor of the lamp's light for each."""
     photons = np.linspace(900, 9000, 10)
     gains, top = 1 + 0.01 * rng.standard_normal((64, 96)), K * efficiency * photons[-1]
 
@@ -496,13 +499,13 @@ def under_lamp(rng, lamp, *, bend=0.0, efficiency=0.6, taken=None):
     return noise.calibrate(found)
 
 
-ORDER = np.array([4, 7, 0, 9, 2, 5, 8, 1, 6, 3])  # of the levels in time
+ORDER = np.array([4, 7, 0, 9, 2, 5, 8, 1, 6, 3])  # order of the levels in time
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lamp", [0.003, 0.01])
-def test_times_of_files_tell_a_drift_from_a_curve(lamp):
-    """Levels in random order under a lamp that gains a share a minute."""
+def test_file_times_distinguish_a_drift_from_a_curve(lamp):
+    """The levels are in random order, and the lamp changes by a share per minute."""
     found = under_lamp(np.random.default_rng(1), 1 + lamp * ORDER, taken=60 * ORDER)
     (said,) = told(found, "drift of the light")
     assert "from the first to the last level, by the times in their files" in said
@@ -515,8 +518,8 @@ def test_times_of_files_tell_a_drift_from_a_curve(lamp):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bend", [0.015, 0.02])
-def test_times_of_files_tell_a_curve_from_a_drift(bend):
-    """In the order of the light, both explain the frames."""
+def test_file_times_distinguish_a_curve_from_a_drift(bend):
+    """In the order of the light, both would explain the frames."""
     found = under_lamp(np.random.default_rng(0), np.ones(10), bend=bend, taken=60 * ORDER)
     assert not told(found, "drift or curve")
     assert not told(found, "drift of the light")
@@ -543,8 +546,8 @@ def test_times_of_files_are_read(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("lamp", "key"), [(0.01, "drift of the light"), (0.001, "drift or curve")])
-def test_a_lamp_that_drifts_from_level_to_level_is_no_curved_response(lamp, key):
-    """The lamp gives what is stated at the first level, and more by a share at each further one."""
+def test_a_lamp_that_drifts_between_levels_is_not_a_curved_response(lamp, key):
+    """The lamp gives the stated light at the first level, and a share more at each further one."""
     found = under_lamp(np.random.default_rng(1), 1 + lamp * np.arange(10))
     for name, truth in (("system_gain", K), ("quantum_efficiency", 60.0)):
         low, high = found.estimates[name].interval_95
@@ -552,15 +555,16 @@ def test_a_lamp_that_drifts_from_level_to_level_is_no_curved_response(lamp, key)
     linearity = found.estimates.get("linearity_error_max")
     assert (linearity is None) == (key == "drift of the light")
     if linearity is not None:
-        assert linearity.interval_95[0] < 0.01  # %; an extreme of deviations is at least 0
+        assert linearity.interval_95[0] < 0.01  # %; a maximum of deviations is at least 0
     assert told(found, key)
     assert not told(found, "compression")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bend", [0.015, 0.02])
-def test_a_curve_that_may_be_a_drift_has_a_linearity_error_under_a_steady_lamp(bend):
-    """Linearity errors by hand: deviations from a line with weights 1 / signal^2."""
+def test_a_curve_that_may_be_a_drift_keeps_its_linearity_error(bend):
+    """The reference linearity error is computed by hand: deviations from a line with weights 1 /
+    signal^2."""
     found = under_lamp(np.random.default_rng(0), np.ones(10), bend=bend)
     light = np.linspace(900, 9000, 10)
     signal = light * (1 - bend * light / light[-1])
@@ -576,7 +580,7 @@ def test_a_curve_that_may_be_a_drift_has_a_linearity_error_under_a_steady_lamp(b
 
 
 @pytest.mark.slow
-def test_a_curved_response_is_no_lamp_that_drifts():
+def test_a_curved_response_is_not_a_drifting_lamp():
     found = under_lamp(np.random.default_rng(0), np.ones(10), bend=0.1)
     assert not told(found, "drift of the light")
     assert not told(found, "drift or curve")
@@ -585,7 +589,7 @@ def test_a_curved_response_is_no_lamp_that_drifts():
 
 
 @pytest.mark.slow
-def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent_levels():
+def test_levels_of_a_wandering_lamp_give_larger_errors_than_independent_ones():
     wander = 1 + 0.01 * np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, -1.0, -2.0, -2.0, -1.0])
     found = under_lamp(np.random.default_rng(0), wander)
     assert told(found, "lights that drift") or told(found, "drift of the light")
@@ -599,8 +603,8 @@ def test_the_light_of_a_lamp_that_wanders_is_less_known_than_that_of_independent
 @pytest.mark.sweep("lit-7", "saturated-7")
 @pytest.mark.parametrize("place", [0, 3, 7])
 @pytest.mark.parametrize("what", ["saturated", "lit"])
-def test_a_dark_level_of_too_much_light_is_left_out_alone(place, what):
-    """The flats of its exposure stay, with the darks of the nearest exposure."""
+def test_only_the_dark_level_with_light_is_left_out(place, what):
+    """The flats of its exposure stay, and use the darks of the nearest exposure."""
     rng, light = np.random.default_rng(place), np.linspace(500, 4000, 8)
     flats, darks = ([[exposed(rng, x) for _ in "ab"] for x in of] for of in (light, 0 * light))
     full = np.full_like(darks[0][0], 4095)
@@ -617,8 +621,8 @@ def test_a_dark_level_of_too_much_light_is_left_out_alone(place, what):
     assert abs(gain / K - 1) < 0.02
 
 
-def test_saturated_darks_of_a_large_dark_current_leave_the_others():
-    """The last of ten darks has .5 · 8500 + 64 DN of 4095."""
+def test_saturated_darks_of_a_large_dark_current_are_left_out():
+    """The last of ten darks has .5 · 8500 + 64 DN, where 4095 is full scale."""
     rng, seconds = np.random.default_rng(1), np.linspace(0.1, 1.0, 10)
     flats = [[exposed(rng, e) for _ in "ab"] for e in ELECTRONS]
     darks = own_darks(rng, seconds, 8500.0)
@@ -631,7 +635,7 @@ def test_saturated_darks_of_a_large_dark_current_leave_the_others():
 
 @pytest.mark.slow
 def test_dim_flats_of_12_bits_are_calibrated():
-    """All codes lie below 256."""
+    """All codes are below 256."""
     rng, light = np.random.default_rng(5), np.linspace(20, 200, 8)
     flats, darks = ([[exposed(rng, x) for _ in "ab"] for x in of] for of in (light, 0 * light))
     camera = noise.Camera(bits=12)

@@ -1,4 +1,5 @@
-"""Spectra as instruments and others write them: lamps with lines, other units, columns by name."""
+"""Tests spectra as written by instruments and others: lamps with lines, other units, columns by
+name."""
 
 import warnings
 from pathlib import Path
@@ -28,9 +29,9 @@ from jaxvision.spectra import (
 RGB = Bands(3)
 TENS = np.arange(400, 701, 10.0)  # nm
 IN_TENS = Bands(len(TENS), TENS * 1e-9)
-# A compact fluorescent lamp: lines of mercury and phosphor, W m^-2, over a weak floor.
+# A compact fluorescent lamp: mercury and phosphor lines in W m^-2 over a weak continuum.
 LINES, FLOOR = {435.83: 30.0, 546.07: 60.0, 611.3: 50.0}, 0.01
-# The inverse of the primaries and the white that IEC 61966-2-1 defines.
+# The inverse of the matrix of primaries and white defined by IEC 61966-2-1.
 TO_SRGB = np.array(
     [
         [3.2404542, -1.5371385, -0.4985314],
@@ -60,7 +61,7 @@ def seen(folder, bands, quantity, **source):
 
 
 def test_lines_of_a_lamp_are_integrated_in_rgb(tmp_path):
-    """Each line counts with the observer at its wavelength, whatever the steps of the file."""
+    """Each line is weighted by the observer at its wavelength, whatever the steps of the file."""
     nm = np.arange(380, 780.05, 0.1)
     written(tmp_path, "wavelength,W", nm, lamp(nm))
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
@@ -76,7 +77,7 @@ def test_lines_of_a_lamp_are_integrated_in_rgb(tmp_path):
 def test_no_light_of_lines_is_lost_between_bands(tmp_path, step):
     nm = np.arange(390, 710 + step / 2, step)
     width = max(0.1, 2 * step)
-    wide = lamp(nm, width=width)  # what an instrument of that step tells
+    wide = lamp(nm, width=width)  # what an instrument of this step measures
     written(tmp_path, "wavelength,W", nm, wide)
     found = seen(tmp_path, IN_TENS, "light")
     expected = np.full(len(TENS), FLOOR)
@@ -87,14 +88,14 @@ def test_no_light_of_lines_is_lost_between_bands(tmp_path, step):
     np.testing.assert_allclose(found.sum() * 10, sum(LINES.values()) + 310 * FLOOR, rtol=1e-4)
 
 
-def test_light_given_at_the_bands_is_theirs():
+def test_light_given_at_the_bands_is_unchanged():
     pairs = [[nm, 1 + (nm % 7)] for nm in TENS]
     found = seen(".", IN_TENS, "light", pairs=pairs)
     np.testing.assert_allclose(found, np.array(pairs)[:, 1], rtol=1e-9)
 
 
 def test_a_fluorescent_lamp_of_the_cie_keeps_its_lines():
-    """FL2 has them at 405, 435, 545 and 580 nm, between bands of 10 nm."""
+    """FL2 has lines at 405, 435, 545 and 580 nm, between the bands of 10 nm."""
     table = colour.SDS_ILLUMINANTS["FL2"]
     found = seen(".", IN_TENS, "light", illuminant="FL2")
     fine = np.linspace(395, 705, 310_001)
@@ -132,7 +133,7 @@ STEP = 0.1 + 0.8 * (NM > 580)
         ("wavenumber_cm-1", 1e7 / NM[::-1], STEP[::-1]),
     ],
 )
-def test_a_unit_in_the_head_is_used(tmp_path, head, along, values):
+def test_a_unit_in_the_header_is_used(tmp_path, head, along, values):
     file = written(tmp_path, f"{head},reflectance", along, values)
     metres, found = read_table(file, None, "reflectance")
     np.testing.assert_allclose(metres, NM * 1e-9, rtol=1e-7)
@@ -192,14 +193,15 @@ def test_columns_are_chosen_by_name(tmp_path, heads, columns):
         ("wavelength,R_std\n400,.1\n500,.1\n", "name it"),
     ],
 )
-def test_heads_that_leave_a_column_open_are_refused(tmp_path, text, sentence):
+def test_ambiguous_headers_are_refused(tmp_path, text, sentence):
     (tmp_path / "s.csv").write_text(text)
     with pytest.raises(InputError, match=sentence):
         read_table(tmp_path / "s.csv", None, "reflectance")
 
 
-def test_a_saturated_reflectance_is_cut_where_srgb_ends(tmp_path):
-    """A filter of 0.1 and 0.9, whose red is beyond the gamut of sRGB, is a physical one."""
+def test_a_saturated_reflectance_is_clipped_to_srgb(tmp_path):
+    """The reflectance is a filter with 0.1 and 0.9, a physical one, whose red is outside the gamut
+    of sRGB."""
     written(tmp_path, "wavelength,R", NM, STEP)
     with pytest.warns(UserWarning, match=r"\(1\.04, 0\.11.*cut; give the scene wavelengths"):
         found = seen(tmp_path, RGB, "reflectance")
@@ -222,7 +224,7 @@ def _d65():
     return table.wavelengths, table.values
 
 
-def test_metres_are_metres():
+def test_a_table_in_metres_is_read():
     observer = np.ones((3, 3))
     for of in (
         lambda wl: integrate_spectrum(np.ones(3), wl),

@@ -1,6 +1,6 @@
-"""Surfaces that nobody here made: a retro-reflector, published files of few angles, rigs of grey
-images, images that do not belong. Files are written by hand in the Cornell text form; values are
-closed forms."""
+"""Tests surfaces of other sources: a retro-reflector, published files with few angles, rigs of grey
+images, images that do not belong. Files are written in the Cornell text format, and reference
+values are closed forms."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,7 +35,8 @@ def direction(theta, phi):
 
 
 def sections(path, incidences, reflectance, noise=0.0):
-    """Samples around each incidence, and one toward the light, as a text file of grey values."""
+    """Write samples around each incidence, and one towards the light, as grey values in a text
+    file."""
     rows = [(i, o, p) for i in np.radians(incidences) for o in VIEWERS for p in AZIMUTHS]
     rows += [(i, i, 0.0) for i in np.radians(incidences)]
     theta_i, theta_o, phi = np.array(rows).T
@@ -50,13 +51,13 @@ def sections(path, incidences, reflectance, noise=0.0):
 
 
 def retro(wi, wo):
-    """.3 and 50 within a degree of the light."""
+    """Return .3, and 50 within a degree of the light."""
     between = 2 * np.arcsin(np.linalg.norm(wi - wo, axis=-1) / 2)
     return 0.3 + 50 * np.exp(-((between / np.radians(1)) ** 2))
 
 
 @pytest.mark.slow
-def test_a_retro_reflector_is_described_by_no_model_and_is_said_to_be_one(tmp_path):
+def test_a_retro_reflector_is_identified_and_no_model_describes_it(tmp_path):
     told = sections(tmp_path / "retro.brdf", [5, 15, 25, 35, 45, 55, 65], retro).findings
     assert told[0].startswith("No model here describes this file")
     assert any("impossible" in s and "no albedo exceeds 1" in s for s in told)
@@ -71,11 +72,11 @@ def test_three_incidences_are_fitted_with_wide_intervals(tmp_path):
     low, high = diffuse.interval_95
     assert low < 0.2 < high
     alone = 0.05 * 0.2 / np.sqrt(3 * (len(VIEWERS) * len(AZIMUTHS) + 1))
-    assert high - low > 2 * 1.96 * alone  # wider than noise that counts as independent makes them
+    assert high - low > 2 * 1.96 * alone  # wider than intervals from independent noise
 
 
 def glossy(wi, wo):
-    """Normalised Phong: .1, .5 and exponent 40."""
+    """Return a normalised Phong BRDF with .1, .5 and exponent 40."""
     cosine = np.maximum(np.sum(wi * [-1, -1, 1] * wo, axis=-1), 0)
     return 0.1 + 0.5 * 42 / (2 * np.pi) * cosine**40
 
@@ -115,7 +116,7 @@ def test_samples_that_share_the_largest_value_are_clipped(spoil, gone):
     ("model", "diffuse", "specular", "shape", "expected"),
     [
         ("lambert", 0.9, 0.0, None, 0.9 * np.pi),
-        # Of (n + 2) / (2 pi) cos^n about the normal the integral with the cosine is 1.
+        # The lobe (n + 2) / (2 pi) cos^n about the normal integrates with the cosine to 1.
         ("normalised-phong", 0.1, 0.5, 200.0, 0.1 * np.pi + 0.5),
         ("torrance-sparrow-metal", 0.0, 1.0, 0.02, 1.0),
     ],
@@ -130,7 +131,7 @@ def test_the_albedo_of_a_fit_is_the_integral_over_the_hemisphere(
 
 
 def test_the_intensity_of_a_grey_light_is_one_number():
-    """As files of grey photographs state it."""
+    """This is how files of grey photographs state it."""
     light = Light(file="a.png", direction=(0.0, 0.0, 1.0), intensity=1.5776)
     assert light.intensity == (1.5776,)
 
@@ -144,7 +145,7 @@ AROUND = np.stack([0.5 * np.cos(TURNS), 0.5 * np.sin(TURNS), np.full(6, np.sqrt(
 
 
 def matt_ball(**options):
-    """Photographs of a matt ball of 500 DN, read as they come."""
+    """Return photographs of a matte ball of 500 DN, in linear DN."""
     shading = np.maximum(np.einsum("hwc,lc->lhw", BALL, AROUND), 0)
     images = np.round(60 + 500 * shading + np.random.default_rng(0).normal(0, 1, shading.shape))
     settings = {"camera": Camera(bits=12, black_level=60.0), "normals": BALL} | options
@@ -159,12 +160,12 @@ def matt_ball(**options):
         ({"normals": BALL * [1, 1, -1]}, "normals point away from the camera"),
     ],
 )
-def test_what_no_rig_can_mean_is_refused_in_one_sentence(options, said):
+def test_impossible_rigs_are_refused_in_one_sentence(options, said):
     with pytest.raises(InputError, match=said):
         matt_ball(**options)
 
 
-def test_a_mask_that_leaves_out_nothing_is_told():
+def test_a_mask_that_excludes_nothing_is_named():
     assert not any("no effect" in sentence for sentence in matt_ball(mask=INSIDE).findings)
     sphere = SphereGeometry(centre=(11.5, 11.5), radius=12.0)
     seen = matt_ball(mask=np.ones((24, 24), bool), sphere=sphere, normals=None)
@@ -172,7 +173,8 @@ def test_a_mask_that_leaves_out_nothing_is_told():
 
 
 def with_darks(black):
-    """A matt ball of 500 DN over a black level of 60, its flats, and darks of another black."""
+    """Return a matte ball of 500 DN over a black level of 60, its flats, and darks of another black
+    level."""
     rng = np.random.default_rng(2)
 
     def camera(electrons, black=60.0):
@@ -194,16 +196,16 @@ def with_darks(black):
     )
 
 
-def test_darks_brighter_than_what_no_light_reaches_are_named():
+def test_darks_brighter_than_the_shadows_are_named():
     row = [finding for finding in GIVEN if finding.key == "darker than darks"]
     (told,) = evaluate_findings(row, SimpleNamespace(observation=with_darks(70.0)))
     assert "10.0 DN less than the darks (70.0 DN)" in told
     assert not darker_than_darks(with_darks(60.0))
-    assert not darker_than_darks(with_darks(50.0))  # stray light can be there
+    assert not darker_than_darks(with_darks(50.0))  # stray light is possible
 
 
 @pytest.mark.slow
-def test_what_darks_tell_is_not_called_assumed_or_stated():
+def test_values_from_darks_are_not_called_assumed_or_stated():
     told = " ".join(findings(joint.calibrate(with_darks(60.0), model="lambert")))
     assert "was assumed" not in told
     assert "those that the rig states;" not in told
@@ -211,7 +213,7 @@ def test_what_darks_tell_is_not_called_assumed_or_stated():
 
 
 @pytest.mark.parametrize(("gain", "named"), [(0.5, False), (1.0, True)])
-def test_frames_of_another_gain_than_the_images_are_named(gain, named):
+def test_flats_of_another_gain_than_the_images_are_named(gain, named):
     rng, freedom = np.random.default_rng(3), np.full(40, 29.0)
     mean = np.linspace(70.0, 1000.0, 40)
     variance = (2 + 0.5 * (mean - 60)) * rng.chisquare(freedom) / freedom
@@ -252,7 +254,7 @@ def brighter(dn):
 
 
 def of_fewer_bits(dn):
-    dn[:, 3] = np.round(dn[:, 3] / 4)  # a light that is held out, too
+    dn[:, 3] = np.round(dn[:, 3] / 4)  # also in a held-out light
 
 
 STRANGERS = [
@@ -285,7 +287,8 @@ def test_images_that_do_not_belong_are_named_and_left_out(spoil, reasons):
 
 @pytest.mark.parametrize("level", [64, 2**14 - 1])
 def test_dead_and_hot_pixels_are_named_and_left_out(level):
-    """Of hot ones in 1 % of the pixels the diffuse term was .423 (.407 to .439) for .4."""
+    """With hot pixels in 1 % of the image, the diffuse term was .423 (.407 to .439) instead of
+    .4."""
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     facing = np.flatnonzero(exact.cosine.max(axis=0) > 0.9)[::20]
     assert drop_strangers(exact).dn.shape == exact.dn.shape
@@ -297,7 +300,7 @@ def test_dead_and_hot_pixels_are_named_and_left_out(level):
     np.testing.assert_array_equal(left.normals, np.delete(exact.normals, facing, axis=0))
 
 
-def test_where_most_images_do_not_belong_none_is_left_out():
+def test_no_image_is_left_out_if_most_do_not_belong():
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     dn[:, :8] = 64
@@ -305,7 +308,7 @@ def test_where_most_images_do_not_belong_none_is_left_out():
 
 
 @pytest.mark.slow
-def test_a_swapped_pair_does_not_move_a_surface():
+def test_two_exchanged_images_hardly_change_the_result():
     exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     swapped(dn)
@@ -318,8 +321,8 @@ def test_a_swapped_pair_does_not_move_a_surface():
 
 
 def cornell_samples(change):
-    """A Phong lobe over a matt ground, of six incidences and as many viewers, as samples of a file
-    that a function of (values, zeniths of light and viewer) changed."""
+    """Return samples of a Phong lobe over a matte body at six incidences and six view angles, after
+    a change by a function of (values, zenith angles of light and viewer)."""
     light, viewer, turn = (
         x.ravel()
         for x in np.meshgrid(
@@ -350,13 +353,13 @@ def cornell_samples(change):
         (lambda f, i, o: f, None),
     ],
 )
-def test_values_that_are_no_brdf_are_named(change, said):
+def test_values_that_are_not_a_brdf_are_named(change, said):
     found = cornell_samples(change).findings
     assert len(found) == (said is not None)
     assert said is None or said in found[0]
 
 
-def test_an_angle_along_the_surface_and_wavelengths_in_micrometres_are_told(tmp_path):
+def test_elevations_and_wavelengths_in_micrometres_are_named(tmp_path):
     rows = [
         f"{i:.6f} 0 {o:.6f} {p:.6f} 0.1"
         for i in np.radians([10, 30, 50, 90])
@@ -372,15 +375,15 @@ def test_an_angle_along_the_surface_and_wavelengths_in_micrometres_are_told(tmp_
 
 
 @pytest.mark.slow
-def test_a_surface_darker_than_velvet_is_told():
+def test_a_surface_darker_than_velvet_is_named():
     found = cornell_samples(lambda f, i, o: f / 1500)
     calibration = from_files.calibrate(found, model="lambert")
     assert any("less than that of black velvet" in one for one in section(calibration).findings)
 
 
 @pytest.mark.parametrize(("factors", "told"), [(0.12, True), (0.01, False)])
-def test_images_of_another_brightness_are_named_as_such(monkeypatch, factors, told):
-    """One factor for each image is the misfit of a tenth, or hardly any of it."""
+def test_images_of_different_brightness_are_named(monkeypatch, factors, told):
+    """One factor for each image explains a misfit of a tenth, or hardly any of it."""
     each = factors * np.array([1.0, -1.0, 0.9, -1.1, 1.2, -1.0])
     monkeypatch.setattr(of_images, "residual_of_images", lambda calibration: each)
     misfit = SimpleNamespace(spread=SimpleNamespace(relative=0.12))
@@ -398,7 +401,7 @@ def test_images_of_another_brightness_are_named_as_such(monkeypatch, factors, to
         (100.0, 0.0, None),
     ],
 )
-def test_equal_images_have_no_normals(level, noise, said):
+def test_identical_images_give_no_normals(level, noise, said):
     turns = np.radians(np.arange(6) * 60)
     lights = direction(np.full(6, np.radians(30)), turns)
     images = level + np.random.default_rng(0).normal(0, noise, (6, 30, 30))

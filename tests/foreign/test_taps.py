@@ -1,4 +1,5 @@
-"""Photographs through several amplifiers: `brdf` and `joint` with the numbers of each."""
+"""Tests `brdf` and `joint` on photographs through several amplifiers, with the parameters of
+each."""
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ CAMERAS = {
 
 
 def photographs(tap):
-    """A Phong ball by NumPy; even and odd columns, or halves, of another gain and black level."""
+    """Return photographs of a Phong ball by NumPy, where even and odd columns, or halves, have
+    different gains and black levels."""
     rng = np.random.default_rng(1)
     images = []
     for shaded in shade_areas(SIDE, SIDE / 2 - 1, LIGHTS, "phong", *TRUTH.values()):
@@ -36,7 +38,7 @@ def photographs(tap):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CAMERAS)
-def test_a_ball_through_two_amplifiers_has_its_reflectance(kind):
+def test_a_ball_through_two_amplifiers_has_the_right_reflectance(kind):
     taps, tap = CAMERAS[kind]
     known = {"gain": GAIN.tolist(), "black_level": BLACK.tolist(), "read_noise": READ}
     given = {
@@ -56,8 +58,8 @@ def test_a_ball_through_two_amplifiers_has_its_reflectance(kind):
 
 
 @pytest.mark.parametrize("kind", [*CAMERAS, ""])
-def test_init_states_the_amplifiers_that_differ(tmp_path, kind):
-    """Flats and darks of a folder, of one amplifier for the last."""
+def test_init_states_amplifiers_that_differ(tmp_path, kind):
+    """The folder has flats and darks. The last camera has one amplifier."""
     _, tap = CAMERAS.get(kind, (None, np.zeros((SIDE, SIDE), int)))
     rng = np.random.default_rng(3)
     for name, time, light in (("dark", 1, 0), *(("flat", t, 900 * t) for t in (1, 2, 3, 4, 5))):

@@ -1,4 +1,4 @@
-"""Text files that no one writes by hand: nested, long and huge; each ends in one short sentence."""
+"""Tests malformed text files, nested, long or huge: each gives one short sentence."""
 
 import json
 import tracemalloc
@@ -52,8 +52,8 @@ def test_toml_of_any_shape_is_one_short_sentence(tmp_path, reader, text):
     assert most < 20e6
 
 
-def test_a_file_of_many_parts_that_are_plain_is_read(tmp_path):
-    """What the check of long keys must let pass: numbers, text and comments with many points."""
+def test_text_with_many_points_is_read(tmp_path):
+    """The check of long keys must allow numbers, text and comments with many points."""
     points = ".".join("abc" for _ in range(200))
     text = f'# {points} = 1\nabout = "{points}"\n[sensor]\ngain = 0.5 # {points}\n'
     (tmp_path / "sensor.toml").write_text(text)
@@ -63,7 +63,7 @@ def test_a_file_of_many_parts_that_are_plain_is_read(tmp_path):
 def test_a_huge_text_file_is_refused_unread(tmp_path):
     file = tmp_path / "scene.toml"
     with file.open("wb") as stream:
-        stream.truncate(1 << 30)  # which takes no space
+        stream.truncate(1 << 30)  # uses no disk space
     tracemalloc.start()
     try:
         for suffix in (".toml", ".xml", ".pbrt"):
@@ -111,8 +111,8 @@ def test_gltf_of_any_shape_is_one_short_sentence(tmp_path, content):
     assert len(str(caught.value)) < 1000
 
 
-def test_what_changes_no_picture_is_named(tmp_path):
-    """A material on no surface, and keys of another integrator."""
+def test_entries_without_effect_are_named(tmp_path):
+    """The file has a material on no surface, and keys of another integrator."""
     gold = '[material.gold]\nfamily = "lambert"\nalbedo = 0.3\n'
     file = tmp_path / "scene.toml"
     file.write_text(BALL + gold)
@@ -215,7 +215,7 @@ def test_options_of_another_kind_of_measurement_are_refused(tmp_path, words, rea
 
 
 @pytest.mark.parametrize("words", [["joint"], ["plan", "--target", "exponent"]])
-def test_an_index_beside_a_model_that_has_none_is_refused(tmp_path, words):
+def test_an_index_for_a_model_without_one_is_refused(tmp_path, words):
     given = [words[0], str(tmp_path), *words[1:], "--index", "1.8", "--model", "phong"]
     found = CliRunner().invoke(fitting_app, given)
     assert found.exit_code == 2

@@ -1,5 +1,5 @@
-"""Odd arguments for public functions: the calls of `examples/` with one argument, or one field of a
-record among them, put in another form or of another size."""
+"""Make odd arguments for public functions: calls of `examples/` in which one argument, or one field
+of a record, has another value, form or size."""
 
 import dataclasses
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# what may stand in a number's place, in all of an array or in one of its numbers
+# values in place of a number, in all of an array or in one element
 NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1.0, -1.0, 0.5, 2.0, 255.0, 1e-45, 1e-30, 1e-8, 1e8)
 NUMBERS += (1e19, 1e30, -1e30, 3e38, 1e-38, 1 + 1e-7, 1e300, 1e-300)
 
@@ -73,7 +73,7 @@ def is_number(x):
 
 
 def places(tree):
-    """The paths of all floating arrays of a call."""
+    """Return the paths of all floating-point arrays of a call."""
     return [path for path, leaf in jax.tree.leaves_with_path(tree) if is_number(leaf)]
 
 
@@ -95,7 +95,8 @@ def _step(tree, step):
 
 
 def with_at(tree, path, value):
-    """A tree with another leaf; records are made anew, so that they check it."""
+    """Return a tree with one leaf replaced. Records are constructed again, so that they check
+    it."""
     if not path:
         return value
     step, rest = path[0], path[1:]
@@ -114,7 +115,7 @@ def with_at(tree, path, value):
 
 
 def odd_call(arguments, number, seed):
-    """(arguments, where, what was put there) of a call, one of its arrays changed."""
+    """Return (arguments, path, new value) of a call with one of its arrays changed."""
     rng = np.random.default_rng([seed, number])
     known = places(arguments)
     path = known[rng.integers(len(known))]

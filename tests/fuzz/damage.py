@@ -1,4 +1,4 @@
-"""Damage to files: bytes, lines and numbers changed, left out, doubled and put elsewhere."""
+"""Damage files by changing, removing, doubling and moving bytes, lines and numbers."""
 
 import re
 
@@ -9,7 +9,7 @@ NUMBERS = (
     b"0 -0.0 1 -1 2 3000000000 99999999999999999999999 1e-16 1e-28 1e30 1e39 1e308 1e309 -1e39 "
     b"nan inf -inf 0.5 1e-45 255 256 65536 2147483647 4294967296"
 ).split()
-# what stands behind `=` or `:`, in TOML, JSON and XML, and what may take its place
+# what follows `=` or `:` in TOML, JSON and XML, and replacements for it
 VALUE = re.compile(rb"""(?<=[=:]) *("[^"\n]*"|\[[^\]\n]*\]|[^\s,\]}>"]+)""")
 VALUES = (
     b'"" "nan" "-1" "0" "text" "1,2" true false [] [1] [nan,0,1] [0,0,0] [[1,2],[3]] {} null '
@@ -19,7 +19,7 @@ BYTES = (0x00, 0xFF, 0x7F, 0x80, 0x0A, 0x20, 0x22, 0x5B)
 
 
 def damaged(content: bytes, rng: np.random.Generator, *, text: bool, most: int = 4) -> bytes:
-    """`content` after one to `most` changes."""
+    """Return `content` after one to `most` changes."""
     for _ in range(rng.integers(1, most + 1)):
         change = rng.choice(TEXT_CHANGES if text and rng.uniform() < 0.8 else BYTE_CHANGES)
         content = change(content, rng)
@@ -62,7 +62,7 @@ def _number(content, rng):
 
 
 def _scaled(content, rng):
-    """A number of another size, in the range that files hold."""
+    """Replace a number by one of another size, in the range that files contain."""
     found = list(NUMBER.finditer(content))
     if not found:
         return content
@@ -72,7 +72,7 @@ def _scaled(content, rng):
 
 
 def _value(content, rng):
-    """Another value, or that of another key."""
+    """Replace a value by another, or by that of another key."""
     found = list(VALUE.finditer(content))
     if not found:
         return content

@@ -1,4 +1,4 @@
-"""Small sound folders for the commands, each with what it needs, and what damages them."""
+"""Make small valid folders for the commands, and damage them."""
 
 import shutil
 import zlib
@@ -55,7 +55,7 @@ def ball(folder: Path) -> None:
 
 
 def photographs(folder: Path) -> None:
-    """Without a rig; their heads say what `init` writes."""
+    """Write photographs without a rig, whose headers contain what `init` needs."""
     folder.mkdir()
     for number, time in enumerate(TIMES):
         photograph(folder / f"{number}.jpg", seconds=time, code=60 * number)
@@ -70,7 +70,8 @@ FOLDERS: dict[str, Callable[[Path], None]] = {
 
 
 def copied(sound: Path, to: Path, number: int) -> Path:
-    """The folder after a change to its rig, mostly, or to one of its images; sound for -1."""
+    """Return a copy of the folder after a change, mostly to its rig, or to one of its images. It is
+    unchanged for -1."""
     shutil.rmtree(to, ignore_errors=True)
     shutil.copytree(sound, to)
     if number < 0:
@@ -92,7 +93,7 @@ def copied(sound: Path, to: Path, number: int) -> Path:
 
 
 def odd(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Pixels that no camera takes, of the same type."""
+    """Return pixels of the same type that no camera takes."""
     most = np.iinfo(pixels.dtype).max
     brighter = np.clip(pixels * 10 ** rng.uniform(-2, 2), 0, most).astype(pixels.dtype)
     changes = (

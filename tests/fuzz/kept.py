@@ -1,5 +1,6 @@
-"""What the library itself keeps between runs: draws beside a record, tiles and sums of a render,
-blocks of a chain. `sound(folder)` gives their contents, the other functions read a damaged one."""
+"""Files that the library stores for itself: draws next to a record, tiles and sums of a render, and
+blocks of a chain. `sound(folder)` returns their contents, and the other functions read a damaged
+one."""
 
 import io
 from pathlib import Path
@@ -46,7 +47,7 @@ def chain(file: Path) -> object:
 
 
 def sound(folder: Path) -> dict[str, bytes]:
-    """Contents by the name of the function that reads them."""
+    """Return the contents by the name of the function that reads them."""
     rng = np.random.default_rng(4)
     with PartialImage(folder / "a.partial", key=KEY, values=VALUES, fresh=True) as kept:
         for _ in range(3):

@@ -1,4 +1,4 @@
-"""Sound files of every kind that the library reads, small, and what reads them."""
+"""Small valid files of every type that the library reads, and their readers."""
 
 import io
 import json
@@ -35,12 +35,12 @@ RNG = np.random.default_rng(3)
 
 
 class Kind(NamedTuple):
-    """A kind of file.
+    """A type of file.
 
     Attributes:
-        suffix: of its name.
-        seeds: contents of sound files.
-        read: what reads one; its result is a tree of arrays.
+        suffix: suffix of its name.
+        seeds: contents of valid files.
+        read: function that reads one; its result is a tree of arrays.
         finite: whether all numbers of a result must be finite.
     """
 
@@ -99,7 +99,7 @@ sphere = { centre = [63.5, 63.5], radius = 57.6 }
 
 
 def written(folder: Path, name: str, write: Callable[[Path], object]) -> bytes:
-    """What a writer puts into a file."""
+    """Return the bytes that a writer puts into a file."""
     file = folder / name
     write(file)
     return file.read_bytes()
@@ -118,7 +118,7 @@ def numpy_file() -> bytes:
 
 
 def binary_gltf(content: bytes) -> bytes:
-    """A `.glb` of one chunk."""
+    """Return a `.glb` of one chunk."""
     content += b" " * (-len(content) % 4)
     chunk = struct.pack("<I4s", len(content), b"JSON") + content
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunk)) + chunk
@@ -132,7 +132,7 @@ def astronomical(folder: Path) -> bytes:
 
 
 def glossy(theta_i: np.ndarray, theta_o: np.ndarray) -> BRDFSamples:
-    """In the plane of incidence, opposite the light, at two wavelengths."""
+    """Return samples in the plane of incidence, opposite the light, at two wavelengths."""
     lobe = 0.1 + 0.4 * np.exp(-(((theta_i - theta_o) / 0.2) ** 2))
     values = np.stack([lobe, 0.7 * lobe], axis=-1)
     return BRDFSamples(
@@ -141,22 +141,22 @@ def glossy(theta_i: np.ndarray, theta_o: np.ndarray) -> BRDFSamples:
 
 
 def pixels(file: Path) -> object:
-    """What a picture holds, its head read too."""
+    """Read a picture and its header."""
     read_settings(file)
     return read_image(file)
 
 
 def targa() -> bytes:
-    """Of 4 x 3 colours from the top left, as runs of two equal ones."""
+    """Return a TGA of 4 x 3 colours from the top left, as runs of two equal ones."""
     head = struct.pack("<BBBHHBHHHHBB", 0, 0, 10, 0, 0, 0, 0, 0, 4, 3, 24, 0x20)
     return head + b"".join(bytes((0x81, i, 2 * i, 200 - i)) for i in range(6))
 
 
 def kinds(folder: Path) -> dict[str, Kind]:
-    """Every kind by name; `folder` for what writers need, and what files name beside them."""
+    """Return every type by name. `folder` is for writers, and for files that other files name."""
     cameras = tuple((SHIPPED / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
     scenes = tuple(file.read_bytes() for file in sorted((SHIPPED / "scenes").glob("*.toml")))
-    for table in (SHIPPED / "scenes").glob("*.csv"):  # beside the scenes that name them
+    for table in (SHIPPED / "scenes").glob("*.csv"):  # for the scenes that name them
         (folder / table.name).write_bytes(table.read_bytes())
     mitsuba_pictures.write_scenes(folder)
     write_image(folder / "sky.exr", mitsuba_pictures.sky())
@@ -181,7 +181,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         lambda file: write_material(jaxvision.Phong([0.2, 0.1], [0.3, 0.3], 9.0), file),
     )
     return {
-        "camera": Kind(".toml", cameras, read_camera, finite=False),  # a well may have no end
+        "camera": Kind(".toml", cameras, read_camera, finite=False),  # a full well may be infinite
         "scene": Kind(".toml", scenes, lambda file: read_scene(file).scene),
         "mitsuba": Kind(".xml", mitsuba, lambda file: read_scene(file).scene),
         "pbrt": Kind(".pbrt", pbrt, lambda file: read_scene(file).scene),

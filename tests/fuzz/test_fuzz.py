@@ -1,12 +1,12 @@
-"""Damaged files of every kind: each is read, or refused in one sentence, soon and in little memory;
-commands end so too.
+"""Tests damaged files of every type: each is read, or refused in one sentence, soon and in little
+memory. Commands also end this way.
 
-    pytest -m slow tests/fuzz/test_fuzz.py            # JAXVISION_FUZZ=5000 for so many files a kind
+    pytest -m slow tests/fuzz/test_fuzz.py            # JAXVISION_FUZZ=5000: files of each type
 
-A case is known by its kind and number, which are the seed; they begin at JAXVISION_FUZZ_FROM.
-`JAX_ENABLE_X64=0` reads in float32, in which a number may be too large that float64 holds; a folder
-in memory, `--basetemp=/dev/shm/a`, halves the time. Counts are printed with `-s`.
-"""
+A case is identified by its type and its number, which are the seed. Numbers start at
+JAXVISION_FUZZ_FROM. `JAX_ENABLE_X64=0` reads in float32, where numbers that float64 holds can
+overflow. A folder in memory, `--basetemp=/dev/shm/a`, halves the time. Counts are printed with
+`-s`."""
 
 import os
 import resource
@@ -30,7 +30,7 @@ from jaxvision.errors import InputError
 
 COUNT = int(os.environ.get("JAXVISION_FUZZ", "200"))
 FIRST = int(os.environ.get("JAXVISION_FUZZ_FROM", "0"))
-LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s of CPU, bytes, characters of a message
+LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # CPU s, bytes, characters of a message
 NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
 NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba", "gltf", "glb", "glb_mesh")
 NAMES += ("stl", "fits", "dng", "draws", "tiles", "passes", "chain", "pgm", "ppm", "pfm", "tga")
@@ -47,13 +47,13 @@ def content(name, kind, number):
 
 
 def infinite(result):
-    """Whether a result holds numbers that are not finite."""
+    """Return whether a result contains numbers that are not finite."""
     leaves = [leaf for leaf in jax.tree.leaves(result) if hasattr(leaf, "dtype")]
     return any(leaf.dtype.kind == "f" and not np.isfinite(leaf).all() for leaf in leaves)
 
 
 def outcome(kind, file):
-    """ "read", "refused", or what is wrong."""
+    """Return "read", "refused", or a description of the fault."""
     begun = time.process_time()
     try:
         result = kind.read(file)
@@ -97,7 +97,8 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     assert not wrong, wrong
 
 
-# the command, what it is asked, the kinds of its file or its folders, and one in how many it gets
+# the command, its arguments, the types of its files or folders, and the divisor of the number of
+# cases
 COMMANDS = {
     "inspect": (jaxvision.cli.app, "inspect FILE", "png png16 tiff jpeg exr hdr npy", 20),
     "render": (
@@ -122,7 +123,7 @@ COMMANDS = {
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_end_with_a_sentence(command, tmp_path):
-    """After the sound files and folders, which none refuses."""
+    """The undamaged files and folders come first, and none is refused."""
     app, asked, names, share = COMMANDS[command]
     counts, wrong = Counter(), {}
     for name in names.split():
@@ -140,7 +141,7 @@ def test_commands_end_with_a_sentence(command, tmp_path):
 
 
 def sound_input(name, folder):
-    """A folder, or a kind of file and the folder that holds what its files name."""
+    """Return a folder, or a type of file and the folder with the files that it names."""
     if name in FOLDERS:
         FOLDERS[name](folder)
         return folder
@@ -149,7 +150,7 @@ def sound_input(name, folder):
 
 
 def damaged_input(name, sound, number):
-    """Sound for -1: of a kind, the last of its seeds."""
+    """Return a damaged input, or for -1 the undamaged one: the last seed of its type."""
     if name in FOLDERS:
         return copied(sound, sound.with_name(f"damaged_{name}"), number)
     kind, folder = sound
@@ -159,7 +160,8 @@ def damaged_input(name, sound, number):
 
 
 def ended(app, words):
-    """ "done" (of a channel that failed, the report says why), "refused", or what is wrong."""
+    """Return "done", "refused", or a description of the fault. "Done" includes a channel that
+    failed if the report gives the reason."""
     try:
         status, said, error = called(app, *words)
     except Exception as failure:
@@ -173,8 +175,8 @@ def ended(app, words):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")
-def test_sound_files_are_read(tmp_path):
-    """Else the damage is all that is refused."""
+def test_undamaged_files_are_read(tmp_path):
+    """Otherwise, not only damage would be refused."""
     every = kinds(tmp_path)
     assert set(every) == set(NAMES)
     for name, kind in every.items():

@@ -1,13 +1,12 @@
-"""Public functions given odd arguments: each returns, or says in one sentence of its own what is
-wrong.
+"""Tests public functions with odd arguments: each returns, or says in one sentence of its own what
+is wrong.
 
-    pytest -m slow tests/fuzz/test_fuzz_arguments.py  # JAXVISION_FUZZ=100 for so many a function
+    pytest -m slow tests/fuzz/test_fuzz_arguments.py  # JAXVISION_FUZZ=100: cases per function
 
-A case is a function and a number, which are the seed; they begin at JAXVISION_FUZZ_FROM. Numbers
-of 0, infinities, huge and tiny ones, other shapes, lists, whole numbers, codes, words and None take
-the place of one array of the call in `examples/`, or of one field of a record in it. JAX's own
-sentence about shapes that do not broadcast counts as one.
-"""
+A case is identified by a function and a number, which are the seed. Numbers start at
+JAXVISION_FUZZ_FROM. One array of the call in `examples/`, or one field of a record in it, is
+replaced by 0, infinities, huge and tiny numbers, other shapes, lists, integers, codes, words or
+None. JAX's own sentence about shapes that do not broadcast is accepted."""
 
 import traceback
 import warnings
@@ -30,7 +29,7 @@ OWN_WORDS = ("ncompatible shapes", "ncompatible types for broadcasting", "have t
 
 
 def outcome(function, arguments, path, value):
-    """ "done", "refused", or what is wrong."""
+    """Return "done", "refused", or a description of the fault."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -49,7 +48,7 @@ def outcome(function, arguments, path, value):
 
 @pytest.fixture
 def as_for_users():
-    """Promotion as JAX has it by default."""
+    """Use JAX's default promotion."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
@@ -60,7 +59,7 @@ def as_for_users():
 def test_odd_arguments_are_taken_or_refused(room):
     known, counts, wrong = doors(), Counter(), {}
     for name, (arguments, options) in examples_of(room).items():
-        private = any(part.startswith("_") for part in name.split("."))  # others check for it
+        private = any(part.startswith("_") for part in name.split("."))  # checked through others
         if private or name not in known or not places(arguments):
             continue
         function = partial(known[name], **options)

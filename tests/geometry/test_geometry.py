@@ -1,4 +1,4 @@
-"""Intersections against the schoolbook quadratic in 50 digits, and the law of reflection."""
+"""Tests intersections against the quadratic formula with 50 digits, and the law of reflection."""
 
 import jax
 import jax.numpy as jnp
@@ -31,8 +31,8 @@ def ray(origin, direction, dtype=jnp.float64):
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize(("radius", "distance"), [(1, 3), (1, 1000), (1e-3, 10), (100, 101)])
 def test_sphere_against_the_quadratic_in_50_digits(dtype, radius, distance):
-    """Near the front of a sphere the distance is good to a few eps of the largest length, which is
-    what rounding the ray's direction alone costs."""
+    """Near the front of a sphere the error of the distance is a few eps of the largest length, like
+    that from rounding the ray's direction."""
     eps, count = float(jnp.finfo(dtype).eps), 0
     for _ in range(12):
         way = RNG.normal(size=3)
@@ -59,9 +59,9 @@ def test_sphere_against_the_quadratic_in_50_digits(dtype, radius, distance):
 
 
 def test_a_distant_small_sphere_in_float32():
-    """Radius 1 at 4000 m: b^2 - 4 a c in float32 cancels to nothing (b^2 = 6.4e7, ulp 4), and
-    every ray within half a metre of the silhouette is decided by noise. Closed form: sqrt(r^2 -
-    h^2) before the centre plane."""
+    """For radius 1 at 4000 m, b^2 - 4 a c cancels completely in float32 (b^2 = 6.4e7, ULP 4), so
+    rays within half a metre of the silhouette would be decided by rounding. In closed form the
+    distance is sqrt(r^2 - h^2) before the centre plane."""
     sphere = as_dtype(Sphere([0, 0, 4000], 1), jnp.float32)
     for height in (0.0, 0.5, 0.9, 0.99):
         hit = meet(ray([height, 0, 0], [0, 0, 1], jnp.float32), sphere)
@@ -109,8 +109,8 @@ def test_nearest_of_several_and_the_first_of_equals():
 
 
 def test_gradient_of_the_distance_to_a_sphere():
-    """Closed form at the pole: moving the centre away by 1 moves the hit by 1, growing the radius
-    by 1 moves it by -1."""
+    """At the pole, moving the centre away by 1 moves the hit by 1, and increasing the radius by 1
+    moves it by -1."""
     gradient = jax.grad(lambda sphere: intersect(ray([0, 0, 0], [0, 0, 1]), sphere).distance)
     result = jax.jit(gradient)(Sphere([0, 0, 5], 2))
     np.testing.assert_allclose(result.centre, [0, 0, 1], atol=1e-15)

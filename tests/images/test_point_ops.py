@@ -374,7 +374,7 @@ def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
             np.testing.assert_array_equal(found[others], value[others], err_msg=name)
 
 
-def test_codes_are_no_colours(as_for_users):
+def test_integer_codes_are_refused_as_colours(as_for_users):
     """As codes they would wrap around, or round to 0."""
     codes = jnp.asarray([[[0, 118, 255]]], jnp.uint8)
     calls = [
