@@ -1,5 +1,5 @@
-"""A table of textbook terms and the names they have in this library. The hint after an unknown name
-reads this table, and `docs/notions.md` lists it.
+"""A table of textbook terms and the names they have in this library. Error messages about unknown
+names use this table, and `docs/notions.md` lists it.
 
 A target, the name in this library, that has a dot is a public name below `jaxvision` or `fitting`.
 A target without a dot is a public name of `jaxvision`, a field of a record, an argument, or a key
@@ -202,8 +202,8 @@ def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
 
 
 def similar(word: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
-    """Return the textbook's word that a misspelt word is nearest to and its names in `known`; None
-    if no word is near."""
+    """Return the textbook's word nearest to a misspelt word, and its names in `known`; None if no
+    word is near."""
     names = {
         one: found
         for words in _WORDS

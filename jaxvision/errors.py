@@ -39,8 +39,8 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown word: the name that a textbook's word, perhaps misspelt, has
-    here, the nearest of `known`, or all of `known`.
+    """Return a hint for an unknown word: this library's name for a textbook's word (perhaps
+    misspelt), the nearest word in `known`, or all of `known`.
     """
     words = sorted(known)
     if not words:

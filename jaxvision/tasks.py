@@ -224,7 +224,7 @@ def _check_room(client: "Client", needed: float) -> None:
 
 
 def _room(dask_worker: Any) -> float:
-    """Return the memory per thread of a worker in bytes, infinite without a limit."""
+    """Return the memory per thread of a worker in bytes, or infinity if the worker has no limit."""
     return (dask_worker.memory_manager.memory_limit or math.inf) / dask_worker.state.nthreads
 
 

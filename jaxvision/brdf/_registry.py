@@ -345,8 +345,7 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
 
 
 def sample_cosine(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw a cosine-distributed direction above the surface, whatever the material and the
-    viewer."""
+    """Draw a cosine-distributed direction above the surface, for any material and viewer."""
     del material, wo
     return cosine_direction(u[:2])
 

@@ -16,8 +16,9 @@ that the interface returns is assumed to be proportional to r, so that the body 
 (pi R) of it, and further reflections form a geometric series of the ratio S / R. This assumption is
 exact for a Lambertian body under a smooth interface. The model is reciprocal if the body is. The
 coat returns at most the share A of the light that its interface transmits, where A is the largest
-albedo of the body. A white body under a coat without absorption reflects all light: to 1e-3 for
-Lambertian, EON and broad glossy bodies, and to 3e-3 for a glossy body of roughness 0.15.
+albedo of the body. A white body under a coat without absorption reflects all light, with an error
+of 1e-3 for Lambertian, EON and broad glossy bodies, and of 3e-3 for a glossy body of roughness
+0.15.
 
 If the body has a narrower lobe, the returned light stays near the mirror direction, and the model
 is less accurate. The table compares the albedo of metal of reflectance 0.9, under a smooth coat of
@@ -251,8 +252,8 @@ def _returned_share(material: Coated, w: Vec) -> Colour:
 
 
 def _interpolated(shares: Float[Array, "turns order bands"], w: Vec) -> Colour:
-    """Return the share a at a direction outside the coat, from its values at azimuths and at nodes
-    of `_returned_uniform`: a Fourier series, whose terms vanish at the normal."""
+    """Interpolate the share a to a direction outside the coat, from its values at several azimuths
+    and at nodes of `_returned_uniform`, by a Fourier series whose terms vanish at the normal."""
     turns = len(shares)
     sine = safe_sqrt(w.x * w.x + w.y * w.y)
     angles = 2 * np.pi / turns * np.outer(np.arange(1, (turns + 1) // 2), np.arange(turns))

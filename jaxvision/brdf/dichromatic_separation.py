@@ -95,7 +95,7 @@ def separate(
 
     All pixels are separated, also those that `valid` excludes. The non-negative optimum has a
     closed form: it is the unconstrained optimum if both factors are positive there, else the better
-    fit of the two with a single term.
+    of the two fits with a single term.
 
     Args:
         image: (..., bands) linear, relative.

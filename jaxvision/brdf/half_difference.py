@@ -9,11 +9,11 @@ BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
 [0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that bins are narrow near the normal,
-where lobes are. The bins of theta_d and phi_d have equal width. The angle phi_d is taken modulo pi,
-so the table is reciprocal by construction. Each value of the table is the BRDF at the centre of its
-bin. Beyond the centres of the outermost bins the BRDF is constant. Values are in sr^-1, angles in
-radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance Model",
-2003, and the reference reader published with it.
+where lobes are concentrated. The bins of theta_d and phi_d have equal width. The angle phi_d is
+taken modulo pi, so the table is reciprocal by construction. Each value of the table is the BRDF at
+the centre of its bin. Beyond the centres of the outermost bins the BRDF is constant. Values are in
+sr^-1, angles in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven
+Reflectance Model", 2003, and the reference reader published with it.
 """
 
 from typing import Literal

@@ -1,4 +1,4 @@
-"""A perfect mirror, which reflects all light from a direction into the mirrored direction.
+"""A perfect mirror, which reflects light only into the mirrored direction.
 
 In the local frame the mirrored direction of `wo` = (x, y, z) is s = (-x, -y, z). The BRDF of a
 mirror is a delta function, reflectance * delta(wi - s) / cos(theta_i). A sample in the direction s

@@ -190,7 +190,7 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """Draw a unit local direction in proportion to the luminance reflected toward `wo`, by the
+    """Draw a unit local direction in proportion to the luminance reflected toward `wo`, with the
     first two of the uniform numbers `u`, (3,). A direction below the surface (at the edge of the
     tables) reflects nothing."""
     wo = as_vec(wo)

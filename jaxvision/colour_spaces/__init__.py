@@ -8,9 +8,9 @@ largest component is 0 in HSV, and colours of lightness 0 or 1 in HSL.
 
 Values and gradients are finite at and near black, white and every grey. At these colours the hue is
 undefined and set to 0, with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32)
-counts as 0. A colour that dark has no chromaticity and no saturation, and a colour that close to
-grey has no hue in HSV and HSL. Arrays whose last axis is not 3, and arrays of integer codes, raise
-a `ValueError`. Matrices are chosen by their name in `colour_data`, a static option. The functions
+counts as 0. Darker colours have no chromaticity and no saturation, and colours closer to grey have
+no hue in HSV and HSL. Arrays whose last axis is not 3, and arrays of integer codes, raise a
+`ValueError`. Matrices are chosen by their name in `colour_data`, a static option. The functions
 multiply by them without `@`, which is slow over an axis of three.
 """
 

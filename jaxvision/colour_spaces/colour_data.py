@@ -3,11 +3,11 @@
 The functions run eagerly, not under `jit`. The first call that needs a table of colour-science
 imports that library, which takes about two seconds. The usual RGB spaces, adaptations, luma weights
 and white points are defined here and do not import it. Wavelengths are in m everywhere;
-`nanometres` converts. colour-science interpolates smooth tables (Sprague's quintic on an even grid,
-a cubic spline elsewhere). Outside the wavelengths of its table, an observer or a sensitivity is 0,
-and a reflectance keeps its end value. Outside its table, an illuminant raises an error, unless the
-CIE gives a formula: for "A" at every wavelength, for daylight from 300 to 830 nm. An unknown name
-raises an `InputError` that lists the known ones.
+`nanometres` converts from nm. colour-science interpolates smooth tables (Sprague's quintic on an
+even grid, a cubic spline elsewhere). Outside the wavelengths of its table, an observer or a
+sensitivity is 0, and a reflectance keeps its end value. Outside its table, an illuminant raises an
+error, unless the CIE gives a formula: for "A" at every wavelength, for daylight from 300 to 830 nm.
+An unknown name raises an `InputError` that lists the known ones.
 """
 
 from collections.abc import Mapping
@@ -217,8 +217,8 @@ def camera_sensitivities(
 def chart_reflectances(
     wavelengths: Float[Array, " bands"], *, name: str = "ColorChecker N Ohta"
 ) -> Float[Array, "patches bands"]:
-    """Return the reflectances of the patches of a colour chart, continued by its end values outside
-    its table.
+    """Return the reflectances of the patches of a colour chart. Outside the table they keep their
+    end values.
 
     Args:
         wavelengths: (bands,) m.
@@ -267,9 +267,9 @@ def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
     """Return the reflectances of linear sRGB's red, green and blue primaries, for
     `spectra.rgb_to_reflectance`.
 
-    The reflectances are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and
-    continued by its end values. All three reflectances are in [0, 1]. In each band their sum is
-    between 1 - 1e-5 and 1.
+    The reflectances are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly.
+    Outside the table they keep their end values. All three reflectances are in [0, 1]. In each band
+    their sum is between 1 - 1e-5 and 1.
 
     Args:
         wavelengths: (bands,) m.

@@ -128,8 +128,8 @@ class Lobe(NamedTuple):
     @property
     def gain(self) -> float:
         """The largest value of f_r cos / k_s, divided by the mean of f_r cos / k_s over the
-        hemisphere. The gain is the largest factor by which the share of the lobe in a small solid
-        angle can exceed that solid angle over 2 pi. No unit."""
+        hemisphere. A small solid angle w contains at most the share gain w / (2 pi) of the lobe.
+        The gain has no unit."""
         one = np.ones((1, 1))
         peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
         return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf

@@ -461,7 +461,7 @@ ASKEW = 2e-3
 
 def check_rotation(name: str, rotation: Any, axes: str) -> None:
     """Raise `ValueError` unless the rows of a concrete matrix are the unit vectors of a
-    right-handed frame, named as in "x, y and z"; traced matrices are accepted."""
+    right-handed frame, with names such as "x, y and z"; traced matrices are accepted."""
     if not is_known(rotation):
         return
     rows = np.asarray(rotation, float)

@@ -4,7 +4,7 @@ the arguments and the results of the functions of `jax.lax`.
 XLA compiles a loop that touches less than a kilobyte into a function for one core, because starting
 several threads takes longer than such a loop. jaxlib 0.12 compiles every loop in this way, whatever
 the size of its arrays: the Cornell box then takes 1.6 times the processor time, on one core instead
-of all. The exception are loops that sort, because a function for one core cannot sort. Each step
+of all. Loops that sort are the exception, because a function for one core cannot sort. Each step
 therefore sorts two equal numbers, which takes less than a microsecond, and keeps its values if the
 two are still equal.
 """

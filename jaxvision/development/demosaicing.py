@@ -250,7 +250,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
 
     The weights are triangular and as wide as the tile.
 
-    The method works for any pattern. Pixels outside the picture do not count. For a Bayer pattern
+    The method works for any pattern. Pixels outside the picture are ignored. For a Bayer pattern
     the result equals `demosaic_bilinear`, except for green at the outermost pixels.
 
     Args:

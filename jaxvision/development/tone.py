@@ -58,7 +58,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
 
 @takes_numbers
 def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
-    """Map linear light to the range of a display, each band by the curve of the record.
+    """Map linear light to the range of a display, each band by the curve `tone_map`.
 
     Args:
         picture: (...) linear, relative.
@@ -82,7 +82,7 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
 
 @takes_numbers
 def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
-    """Encode linear values by the curve of the record.
+    """Encode linear values by the curve `tone`.
 
     Args:
         picture: (...) linear, relative.

@@ -1,6 +1,6 @@
-"""Intersection of a ray with a triangle mesh. In a mesh of up to a hundred triangles (some thousand
-on an accelerator) each triangle is tested; Embree searches larger meshes. Functions take one ray;
-lengths are in metres."""
+"""Intersection of a ray with a triangle mesh. In a mesh of up to a hundred triangles (several
+thousand on an accelerator), each triangle is tested; Embree searches larger meshes. Functions take
+one ray; lengths are in metres."""
 
 import warnings
 from functools import cache

@@ -127,8 +127,9 @@ def scan_chunks(step, carry, items, count: int):
 
 
 def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:
-    """Return the hit of a triangle that the ray is known to hit, computed from its plane; a miss
-    for -1. The hit is differentiable with respect to the ray and the vertices."""
+    """Return the hit of a triangle that the ray is known to hit, computed from the triangle's
+    plane; a miss if the index is -1. The hit is differentiable with respect to the ray and the
+    vertices."""
     face = mesh.faces.at[primitive].get(mode="clip")
     a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
     distance, v, w = materialise(_place, ray, primitive >= 0, a, b, c)

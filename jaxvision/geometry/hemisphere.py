@@ -145,7 +145,8 @@ def cosine_direction(u: Float[Array, "2"]) -> Vec:
 
 @takes_numbers
 def cosine_pdf(w: Directions) -> Scalars:
-    """Return max(cos(theta), 0) / pi in sr^-1, the density of `cosine_direction`; `w`: local."""
+    """Return max(cos(theta), 0) / pi in sr^-1, the density of `cosine_direction`, for a local
+    direction `w`."""
     return jnp.maximum(as_vec(w).z, 0) / jnp.pi
 
 

@@ -297,7 +297,7 @@ def blocked(
     shapes: Shapes,
     size: Scalar | None,
 ) -> Bool[Array, ""]:
-    """Return what `occluded` returns, for use inside a caller's loop.
+    """Return the result of `occluded`, for use inside a caller's loop.
 
     Args:
         point: (3,) m.

@@ -1,5 +1,5 @@
-"""Histogram matching: give an image the distribution of another. Values are codes (integer images)
-or relative."""
+"""Histogram matching: give an image the distribution of the values of another image. Values are
+codes (integer images) or relative."""
 
 import jax
 import jax.numpy as jnp

@@ -130,7 +130,7 @@ def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _direction(cosine: Scalar, turn: Scalar) -> Vec:
     """Return the direction, in the map's axes, at `turn` map widths from the left edge; `cosine` is
-    that of the angle to the pole."""
+    the cosine of the angle to the pole."""
     sine, phi = safe_sqrt((1 - cosine) * (1 + cosine)), jnp.pi * (1 - 2 * turn)
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), cosine)
 

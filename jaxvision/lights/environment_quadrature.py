@@ -25,8 +25,7 @@ _ROWS = 64
 
 
 class Found(NamedTuple):
-    """The irradiance of an environment on a surface, W m^-2, and the part that a quadrature
-    finds."""
+    """The irradiance of an environment on a surface, and its value by a quadrature, W m^-2."""
 
     normal: np.ndarray
     true: float
@@ -36,7 +35,7 @@ class Found(NamedTuple):
 
     def sentence(self, name: str) -> str:
         """Return the text of a warning about the environment called `name`: its true irradiance,
-        and the irradiance that the quadrature finds."""
+        and the irradiance by the quadrature."""
         lost = self.found < self.true
         facing = ", ".join(f"{x:.2f}" for x in self.normal + 0.0)
         return (

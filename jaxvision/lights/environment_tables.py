@@ -107,9 +107,8 @@ def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Floa
 
 
 def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Return the mean of the bilinear picture over each pixel, which is the filter [1 6 1] / 8
-    along both axes. The mean is positive wherever the bilinear picture is, so that no light is
-    missed."""
+    """Return the mean of the bilinear picture over each pixel, by the filter [1 6 1] / 8 along both
+    axes. The mean is positive wherever the bilinear picture is, so that no light is missed."""
     w = picture.shape[1]
     near, far = picture[:1], picture[-1:]
     poles = [

@@ -248,8 +248,8 @@ def _project(
 def _feet_on_flat(
     places: np.ndarray, start: np.ndarray, a: np.ndarray, b: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the feet of perpendiculars that lie in a parallelogram, or in its triangle for a
-    `share` of 0.5, and its middle."""
+    """Return the feet of perpendiculars that lie in a parallelogram, or in half of it (a triangle)
+    if `share` is 0.5, and the middle of this shape."""
     normal = _unit(np.cross(a, b))
     points, _ = _project(places, start, normal)
     (s, t), *_ = np.linalg.lstsq(np.stack([a, b], 1), (points - start).T, rcond=None)

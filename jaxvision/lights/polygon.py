@@ -147,9 +147,9 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
     exceeds (3e-4 / eps)^(1/10), where eps is the machine epsilon, quadrature with 4 x 4
     Gauss-Legendre nodes replaces the contour integral. The limit on d / s is 2.2 in float32 and 16
     in float64. If receiver and light face each other, the relative rounding error is 10 eps (300
-    eps in float64 at the limit); if the horizon cuts the light, it is d / s times as large. The
-    error is larger for a slanted receiver or light, for example 1e-4 in float32 if the product of
-    both cosines is .01.
+    eps in float64 at the limit); if the horizon cuts the light, the error is d / s times as large.
+    The error is larger for a slanted receiver or light, for example 1e-4 in float32 if the product
+    of both cosines is .01.
 
     Args:
         light: the rectangle.

@@ -52,7 +52,7 @@ class SmallLight(Light):
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
     """Return the light that arrives from a small light: the unit direction, the irradiance E = I
     cos(theta) / d^2 on a surface that faces it, (bands,) W m^-2, and the distance d, m. The
-    irradiance is 0 behind the light, and nearer than `smallest_divisor`."""
+    irradiance is 0 behind the light, and at distances below `smallest_divisor`."""
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution

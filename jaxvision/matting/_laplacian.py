@@ -4,9 +4,9 @@
 
 X (bands, 9) are the colours of a window minus their mean, and Sigma is their covariance. The
 matting cost, alpha^T L alpha, is 0 for an alpha that is an affine function of the colours in every
-window. A stencil is (5, 5, h, w). [dy + 2, dx + 2, y, x] multiplies pixel (y + dy, x + dx), and is
-0 if this pixel is outside. Light is relative. Source: Levin, Lischinski, Weiss, "A Closed-Form
-Solution to Natural Image Matting", PAMI 30 (2008), equation 5.
+window. A stencil is (5, 5, h, w). Its entry [dy + 2, dx + 2, y, x] multiplies pixel (y + dy, x +
+dx), and is 0 if this pixel is outside. Light is relative. Source: Levin, Lischinski, Weiss, "A
+Closed-Form Solution to Natural Image Matting", PAMI 30 (2008), equation 5.
 """
 
 from itertools import product

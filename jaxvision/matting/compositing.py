@@ -7,7 +7,7 @@ for all channels,
     result = F_A A + F_B B,
 
 and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` convert from and to
-the straight, encoded RGBA of files. Integer codes are a `ValueError`.
+the straight, encoded RGBA of files. Integer codes raise a `ValueError`.
 
 An alpha that is NaN, or outside [0, 1] by more than rounding (100 ULP: blurred full coverage
 reaches 1 + 4 eps), raises a `ValueError` that states the number of such pixels. A traced alpha is

@@ -3,7 +3,7 @@
 Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. If the
 background gives no information, the matte is opaque and the layer is the picture itself. A
 background gives no information if it is the same behind every picture, or equal to the foreground,
-within eight rounding errors. A NaN affects only its own pixel. Integer codes are a `ValueError`.
+within eight rounding errors. A NaN affects only its own pixel. Integer codes raise a `ValueError`.
 """
 
 import jax.numpy as jnp

@@ -9,7 +9,7 @@ direction (x / z_i, y / z_i, 1). The ray through the point (a, b) of the lens is
 
     origin (a, b, 0),   direction (x / z_i - a / z_f, y / z_i - b / z_f, 1)
 
-with z_f the distance in focus. The functions use reciprocals of distances, so infinity is no
+with z_f the distance in focus. The functions use reciprocals of distances, so infinity is not a
 special case.
 """
 

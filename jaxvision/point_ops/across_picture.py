@@ -105,7 +105,7 @@ def _falloff(
 
 def _check_size(image: Picture) -> tuple[Picture, int, int]:
     """Return the picture and its numbers of rows and columns. Raise `ValueError` for an array that
-    is no picture.
+    is not a picture.
     """
     image = as_relative(image)
     if image.ndim < 2:

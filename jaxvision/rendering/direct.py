@@ -66,9 +66,9 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
 
     The radiance is that of the nearest surface or extended light on the ray. A ray that hits
     neither has the radiance of the environments, or 0. The radiance of a surface is its emission
-    plus the reflected light of the lights. Emissive surfaces do not illuminate other surfaces here;
-    in `transport` they do. The code is compiled once for each type of material, and shadows are
-    traced once for all types.
+    plus the reflected light of the scene's lights. Emissive surfaces do not illuminate other
+    surfaces here; in `transport` they do. The code is compiled once for each type of material, and
+    shadows are traced once for all types.
 
     Args:
         scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling

@@ -498,9 +498,9 @@ def _sample_edge_pixels(
     samples: PixelSamples,
     contrast: Float[Array, "h w"],
 ) -> Image:
-    """Return the change, by further samples, of the derivative inside the edges along `motion`.
-    Further samples are drawn in the pixels with the largest `contrast` of the edges that cross
-    them. The pixels are not chosen by the standard errors of the first samples: errors and
+    """Return the correction, by further samples, of the derivative along `motion` between the
+    edges. Further samples are drawn in the pixels with the largest `contrast` of the edges that
+    cross them. The pixels are not chosen by the standard errors of the first samples: errors and
     derivatives of the same samples are correlated, so that this choice would make the derivative
     biased."""
     height, width = contrast.shape
@@ -899,8 +899,8 @@ def _blocking_outlines(scene: Scene) -> Sequence[tuple[int, Shape]]:
 def _nodes(
     view: View, edges: Edges, *, sampled: bool, times: int = 1
 ) -> tuple[int, Float[Array, "count 4"], Float[Array, "count 2"] | None]:
-    """Return the number of nodes, points that cover the four-dimensional unit cube evenly, and the
-    first two coordinates of these points where they select points of a lens."""
+    """Return the number of nodes, points that cover the four-dimensional unit cube evenly, and
+    their first two coordinates, which select points of a lens (None without a lens)."""
     count = times * edges.nodes * 2 * sum(view.resolution)
     steps = (np.arange(count)[:, None] + 0.5) * _STEPS % 1
     lattice = jnp.asarray(steps, view.pixel_pitch.dtype)

@@ -35,7 +35,7 @@ _WIDEST = 2.0**20  # texels; a wider box is cut to it
 
 class Summed(Varying):
     """A map with its summed-area table. `values`, `uv` and `wrap` are copied from the map. `mean`,
-    (...), is the mean of the values. It is subtracted before summing. The table is the sum of
+    (...), is the mean of the values. The mean is subtracted before summing. The table is the sum of
     `high` and `low`, (rows + 1, columns + 1, ...). The entry (i, j) of the table is the sum of the
     texels above row i and left of column j."""
 
@@ -75,7 +75,7 @@ class Patch(eqx.Module):
 def material_at(
     material: Material, uv: Float[Array, "2"], *, width: Float[Array, "2"] | None = None
 ) -> Material:
-    """Evaluate a material at one point of its surface, which replaces maps by numbers.
+    """Evaluate a material at one point of its surface: replace its maps by numbers.
 
     Args:
         material: any material, with or without maps.

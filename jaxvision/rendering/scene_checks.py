@@ -38,9 +38,9 @@ def scene_problems(
     Findings cover the problems of each shape (`geometry.problems`, except positions far from the
     origin); closed meshes turned inside out; emitters without area and lights without direction; a
     scene without any light; a light, an emitter or the camera inside an opaque closed surface; and
-    a point light on a surface other than a mesh, which it would not light. Objects inside glass or
-    a two-sided surface are allowed, because the inside is visible there. A ray that starts in glass
-    is treated as a ray inside the glass.
+    a point light on a surface other than a mesh, which the light would not illuminate. Objects
+    inside glass or a two-sided surface are allowed, because the inside is visible there. A ray that
+    starts in glass is treated as a ray inside the glass.
     """
     found = [
         f"{name}: {problem}"

@@ -138,7 +138,7 @@ def visible_in_order(
 ) -> tuple[Bool[Array, "lights rays samples"], Bool[Array, " lights"]]:
     """Trace the shadow rays of stacked lights for a group of camera rays, brightest light first.
     The order is that of the largest radiance that a light can add to any ray. Stop when the
-    remaining lights together add at most a threshold.
+    remaining lights together add at most `threshold` to each ray.
 
     Source: Ward, "Adaptive Shadow Testing for Ray Tracing", Proc. 2nd Eurographics Workshop on
     Rendering (1991), where each ray has its own order.

@@ -1,4 +1,4 @@
-"""Find pixels beyond the fold of a strong distortion, at which the image of a line turns back."""
+"""Find pixels beyond the fold of a strong distortion, where the image folds back on itself."""
 
 import numpy as np
 

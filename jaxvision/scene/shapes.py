@@ -150,7 +150,7 @@ class TriangleMesh(Shown):
     counterclockwise.
 
     A triangle without area is never hit, and a traced vertex index out of range is clipped.
-    `geometry.problems` reports both, and faces that vertex normals make black.
+    `geometry.problems` reports both, and faces that are black because of their vertex normals.
 
     Attributes:
         vertices: (vertices, 3) m.

@@ -90,8 +90,8 @@ class Emitters(eqx.Module):
 
 
 def emitters_of(scene: Scene) -> Emitters:
-    """Return the emitters of a scene, indexed without unit: first lights, then emissive surfaces of
-    finite area."""
+    """Return the emitters of a scene: first the lights, then the emissive surfaces of finite area,
+    m^2."""
     surfaces = scene.surfaces
     two_sided = jnp.asarray([surface.two_sided for surface in surfaces])
     shining = {i: s.emission for i, s in enumerate(surfaces) if s.emission is not None}

@@ -2,9 +2,9 @@
 continues.
 
 Directions are unit vectors that point away from the surface; `back` points to where the ray came
-from. Paths from the eye and paths from a light are computed alike, except for the factor of a
-reflection, which `carries` selects. With the material's shading S (f_r cos(theta_i) for a BRDF),
-the factor is
+from. Paths from the eye and paths from a light are computed in the same way, except for the factor
+of a reflection, which `carries` selects. With the material's shading S (f_r cos(theta_i) for a
+BRDF), the factor is
 
     radiance   S(wi = onward, wo = back)
     light      S(wi = back, wo = onward) cos(onward) / cos(back)

@@ -3,14 +3,14 @@
     L = L_e + integral over directions of L S(wi, wo)              (Kajiya, SIGGRAPH 1986)
 
 At every surface one emitter is sampled (next-event estimation), and one direction is drawn from the
-material. If both can find the same light, they are weighted so that the weights sum to 1 (Veach and
-Guibas, SIGGRAPH 1995). The result is unbiased except for two kinds of light. Paths with more than
-`depth` segments are omitted. Light from points and directions that reaches a surface via mirrors or
-glass is missing, because neither way of sampling finds it. `light_paths` includes such light, and
-`missing` lists it for a scene. The random numbers of a sample depend only on the key, the pixel and
-the sample's index (`_random`), so a picture does not depend on the division into blocks.
-`Scene.ambient` is a substitute for interreflections and is not added. Radiance is in W m^-2 sr^-1,
-lengths are in m.
+material. If both methods can find a light, they are weighted so that the weights sum to 1 (Veach
+and Guibas, SIGGRAPH 1995). The result is unbiased except for two kinds of light. Paths with more
+than `depth` segments are omitted. Light from points and directions that reaches a surface via
+mirrors or glass is missing, because neither way of sampling finds it. `light_paths` includes such
+light, and `missing` lists it for a scene. The random numbers of a sample depend only on the key,
+the pixel and the sample's index (`_random`), so a picture does not depend on the division into
+blocks. `Scene.ambient` is a substitute for interreflections and is not added. Radiance is in W m^-2
+sr^-1, lengths are in m.
 
 Reverse-mode gradients exist with respect to emission, reflectances, roughnesses, indices of
 refraction, the lights and the shapes. These gradients neglect moving edges of shadows and outlines,
