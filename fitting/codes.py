@@ -300,7 +300,8 @@ def _noise(frame: np.ndarray) -> float:
 
 def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
     """Return the greatest common divisor of the gaps between the codes that occur, and the
-    remainder of the codes by it; None if the codes are so few that chance explains such a
+    remainder of the codes after division by it; None if the codes are so few that chance explains
+    such a
     divisor."""
     if used.size < 2:
         return None

@@ -297,8 +297,8 @@ def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
 
 
 def pixels_of_mask(stored: np.ndarray) -> Bool[np.ndarray, "h w"]:
-    """Return where a mask (h, w) or (h, w, channels) is true: where it is not 0, or above half of
-    its largest value if it has the many values of soft edges or of JPEG."""
+    """Return a mask (h, w) or (h, w, channels) as booleans: true where it is not 0 or, if it has
+    many values, as with soft edges or JPEG, where it exceeds half of its largest value."""
     values = np.nan_to_num(np.asarray(stored, float))
     values = values.max(axis=-1) if values.ndim == 3 else values
     soft = np.unique(values).size > MOST_LABELS

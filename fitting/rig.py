@@ -650,7 +650,7 @@ class Rig(Entry):
 
 
 def require_one_file_each(where: str, names: Sequence[str]) -> None:
-    """Refuse a file that stands twice, and files of one name in two formats."""
+    """Refuse a file that is listed twice, and files of one name in two formats."""
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise InputError(
             f"{', '.join(twice[:3])} stands more than once in {where}; list each file once."

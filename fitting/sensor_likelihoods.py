@@ -126,10 +126,10 @@ class SensorNoise(eqx.Module):
 
 
 class _VarianceOfData(eqx.Module):
-    """A least-squares cost for distant starts of a search. Its variance is that at the light that
-    would give each datum if the signal were linear in light. With it, a search from a distant start
-    needs few steps. With the variance at the prediction instead, any very bright prediction would
-    seem likely."""
+    """A least-squares cost for distant starts of a search. The variance of each datum is computed
+    for the light that would give this datum in a linear sensor. A search from a distant start then
+    needs few steps. With the variance at the prediction, any very bright prediction would seem
+    likely."""
 
     sensor: Sensor
     least_squares = True

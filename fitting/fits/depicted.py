@@ -33,7 +33,7 @@ def named_record(problem: Problem, kind: type) -> str:
 
 
 def records_of(problem: Problem) -> dict[str, Any]:
-    """Return the problem's records, with its fixed numbers put in."""
+    """Return the problem's records, with the problem's fixed numbers inserted."""
     fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
     return replaced(problem.records, fixed)
 

@@ -202,8 +202,8 @@ def influence(
 def measure_effects(
     found: Fit, target: Target
 ) -> tuple[float, float, Callable[[str, Problem], Moved]]:
-    """Return the value of the target, its standard error, and a function. That function takes the
-    name of some effects and the problem without them, and returns how far the target moves.
+    """Return the value of the target, its standard error, and a function. The function takes a name
+    for some effects and the problem without these effects, and returns how far the target moves.
     """
     problem, optimum = found.problem, found.optimum
     if optimum.saddle or not optimum.stationary:

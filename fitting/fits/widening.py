@@ -249,8 +249,8 @@ def _residuals(
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivative of each residual with respect to its prediction, by a finite
-    difference, and the prediction. The step scales with the data, because rounding would dominate a
+    """Return the derivative of each residual with respect to its prediction, by finite differences,
+    and the predictions. The step scales with the data, because rounding would dominate a
     much smaller step.
     """
     predicted = to_host(predicted_at(vector, problem)[0], dtype=np.float64)

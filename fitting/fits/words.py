@@ -92,8 +92,8 @@ def verdict(
 
 
 def few_digits(problem: Problem, optimum: Optimum) -> list[str]:
-    """Return the reason for a failure if the digits of the predictions leave the cost so inaccurate
-    that searches cannot find its minimum; an empty list if they do not."""
+    """Return the reason for a failure if the predictions have too few digits for searches to find
+    the minimum of the cost; otherwise an empty list."""
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     blur, size, share = (float(x) for x in rounding_of_digits(vector, problem)[1:])
     if not blur > SAME_END:

@@ -172,8 +172,8 @@ def price(
 def weakest(
     ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
 ) -> str | None:
-    """Return the candidate with the smallest ratio of gain to threshold, among those that no other
-    candidate requires; None if every gain exceeds its threshold."""
+    """Return the candidate whose squared Wald ratio is smallest relative to its threshold, among
+    those that no other candidate requires; None if all ratios exceed their thresholds."""
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
     least = min(shares, key=shares.__getitem__, default=None)

@@ -174,7 +174,8 @@ def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
 
 
 def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
-    """Compute starts of every channel from its data; a shared one is the median over channels."""
+    """Compute starts of every channel from its data; the start of a shared parameter is the median
+    over channels."""
 
     def start(data: Any, inputs: Any) -> Mapping[str, Any]:
         def start_channel(data: Any, inputs: Any) -> Mapping[str, Any]:

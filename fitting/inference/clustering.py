@@ -240,8 +240,8 @@ def _power(matrices: np.ndarray, power: float) -> np.ndarray:
 
 def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " parameters"]:
     """Return the degrees of freedom (tr G)^2 / tr G^2 of each coefficient; NaN if clusters leave no
-    residual. A single cluster and a prior also give NaN, because the residual then shows only how
-    far the prior's mean is from the truth.
+    residual. A single cluster with a prior also gives NaN, because its residual shows only how far
+    the prior's mean is from the truth.
     """
     if len(found.shares) < 2:
         return np.full(len(contrasts), np.nan)

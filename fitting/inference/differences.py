@@ -1,4 +1,4 @@
-"""Use finite differences where automatic derivatives miss a part of the change.
+"""Use finite differences where automatic derivatives miss a part of the prediction's change.
 
 A picture is discontinuous at the edge of a shadow or an outline, and automatic differentiation
 misses the motion of the edge. It also misses jumps at rounding and branches. The test computes the
@@ -57,7 +57,8 @@ def correct_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _descend(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
-    """Return the lowest point of Gauss-Newton steps by differences and of steps along the axes."""
+    """Search by Gauss-Newton steps with differences, and along the axes; return the lowest
+    point."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information

@@ -255,7 +255,7 @@ def _along_a_ridge(
 
 
 def _normalise(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weights with the sum 1, and the effective number of draws: 0 where no draw has a density."""
+    """Return weights of sum 1, and the effective number of draws; 0 if no draw has a density."""
     highest = log_weight.max()
     if not np.isfinite(highest):
         return np.zeros_like(log_weight), 0.0
@@ -379,9 +379,9 @@ def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np
 def _adapt_proposal(
     proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float
 ) -> Proposal:
-    """Return a proposal with the mean of the weighted draws. Its covariance is a weighted mean of
-    the draws' covariance, with weight `share`, and of the old covariance, because few draws
-    determine a covariance poorly.
+    """Return a proposal with the mean of the weighted draws. Its covariance is the mean of the
+    draws' covariance, with weight `share`, and the old covariance, because few draws determine a
+    covariance poorly.
     """
     centre = weight @ places
     away = places - centre

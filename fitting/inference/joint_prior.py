@@ -160,7 +160,7 @@ Selection = str | Sequence[str] | Mapping[str, str]
 def select_names(
     selection: Selection, known: Sequence[str]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return new names to selected ones, and the new names given without `*`."""
+    """Return the new name of each selected name, and the new names that were given without `*`."""
     if isinstance(selection, str):
         selection = (selection,)
     pairs = (

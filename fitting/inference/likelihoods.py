@@ -283,7 +283,7 @@ class Censored(eqx.Module):
 
 
 def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
-    """Return the normal deviate of cumulative probability `chance` below `end` deviations."""
+    """Return the deviate below which lies the fraction `chance` of the probability below `end`."""
     xp, special = numerics(end, chance)
     far = end < _TAIL
     above = xp.where(far, -end, 2)

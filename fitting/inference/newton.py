@@ -150,7 +150,7 @@ def minimise_read(
     *,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """Do the same as `minimise` with derivatives summed outside JAX, for data read in chunks."""
+    """Minimise as `minimise` does, with derivatives summed outside JAX, for data in chunks."""
 
     def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = derivatives(vectors[0].astype(start.dtype))

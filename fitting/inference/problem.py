@@ -337,7 +337,7 @@ def values_at(problem: Problem, vector: Vector) -> Values:
 
 
 def values_from(problem: Problem, natural: Vector) -> Values:
-    """Return the same as `values_at`, from natural numbers (P,)."""
+    """Return what `values_at` returns, from natural values (P,)."""
     values, begin = {}, 0
     for parameter in problem.free:
         size = int(np.prod(_shape(parameter)))
@@ -463,7 +463,7 @@ def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " 
 
 
 def residuals_from(natural: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Return the same as `least_squares_residuals`, from natural numbers (P,)."""
+    """Return what `least_squares_residuals` returns, from natural values (P,)."""
     values = values_from(problem, natural)
     likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))

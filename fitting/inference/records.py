@@ -40,7 +40,7 @@ def _steps(path: str) -> list[Step]:
 
 
 def _inside(value: Any) -> dict[Step, Any]:
-    """Return the fields, items or keys of a value, with what they contain."""
+    """Return the fields, items or keys of a value, with their contents."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):

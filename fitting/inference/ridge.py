@@ -98,8 +98,9 @@ def ridge(
     *,
     digit: float,
 ) -> Ridge | None:
-    """Tabulate the density of one number. `digit` is the rounding unit of the costs. None if the
-    density does not decrease on both sides, or if the other numbers have no best values."""
+    """Tabulate the density of one number. `digit` is the relative rounding error of the costs.
+    Return None if the density does not decrease on both sides, or if the other numbers have no best
+    values."""
     others = np.delete(np.arange(len(mode)), index)
     step = covariance[index] / np.sqrt(covariance[index, index])
     low, high = -FIRST_END, FIRST_END

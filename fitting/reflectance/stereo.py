@@ -1025,10 +1025,10 @@ def _used_readings(
 
 
 def _dark_noise(rows: Rows, readings: Readings, near: Counted) -> float:
-    """Return the standard deviation of readings without light. It comes from the quartiles of the
-    readings below 0; without such readings, as in clipped images, from the residuals of the dimmer
-    half of the pixels. Of these residuals the lower quartile is taken, because attached shadows and
-    clipped readings enlarge many of them.
+    """Return the standard deviation of readings without light. It is estimated from the quartiles
+    of the readings below 0 or, without such readings, as in clipped images, from the residuals of
+    the dimmer half of the pixels. The lower quartile of these residuals is used, because attached
+    shadows and clipped readings enlarge many of them.
     """
     below = -readings[readings < 0]
     if below.size >= FEWEST:
@@ -1103,8 +1103,9 @@ def _noise_among_wrong(
     """Return the standard deviation of a reading if most pixels have wrong readings, else infinity,
     and a sentence if readings scatter so much that they hardly depend on the normal.
     Wrong readings enlarge the residuals of most pixels, and neighbouring pixels do not share them.
-    The noise is then estimated from the readings that come nearest to a fit of three of them, in
-    the pixels where these residuals are small, compared with those of Gaussian noise.
+    The noise is then estimated from the residuals of the readings nearest to an exact fit of three
+    readings, in the pixels where these residuals are small. The residuals are divided by those of
+    Gaussian noise of unit variance.
     """
     used, largest = counts.sum(axis=0), np.where(counts, readings, 0).max(axis=0)
     known = used > AGREE

@@ -68,14 +68,14 @@ class Exchange:
 
 
 def side_of_facets(shape: tuple[int, ...]) -> int:
-    """Return the usual side of facets in pixels for images of this shape (h, w)."""
+    """Return the default side of facets, in pixels, for images of this shape (h, w)."""
     return -(-max(shape) // ACROSS)
 
 
 def exchange_of(normals: Normals, *, scale: int = 1) -> Exchange | None:
     """Return the form factors of the surface with these normals (x right, y up, z to the camera);
     None if its facets send each other at most a hundredth of their light. Facets have `scale` times
-    the usual side."""
+    the default side."""
     block = scale * side_of_facets(normals.shape[:2])
     mean = np.moveaxis(_block_means(np.moveaxis(normals, -1, 0), block), 0, -1)
     with np.errstate(invalid="ignore"):

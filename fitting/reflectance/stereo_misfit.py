@@ -21,9 +21,9 @@ variances. This covariance is scaled so that, in the posterior of both variances
 2.448 standard errors, the 95 % radius of a two-dimensional Gaussian, with a probability of 5 %.
 
 The residuals of a pixel under six lights hardly distinguish noise from departures. A comparison of
-neighbouring pixels does, because their noise is independent and their departures are similar. If
-residuals of neighbours correlate, the noise variance is limited to twice the part that neighbours
-do not share.
+neighbouring pixels distinguishes them, because the noise of neighbours is independent and their
+departures are similar. If residuals of neighbours correlate, the noise variance is limited to twice
+the part that neighbours do not share.
 
 Cameras count photons, so the variance of a reading grows with the reading. If lamps flicker, the
 variance grows with the square of the reading. If readings were multiplied by the intensity of the

@@ -15,7 +15,7 @@ from .sheet import Cell, sheet
 
 
 class ShownInNotebooks:
-    """A base of calibrations that show the report section of their package's `section`."""
+    """Base class of calibrations, which a notebook shows by their package's `section`."""
 
     @cached_property
     def section(self) -> Section:

@@ -93,7 +93,7 @@ def check_norms(names: tuple[str, ...]) -> None:
 
 
 def spreads_over(reference: tuple[int, ...], result: tuple[int, ...]) -> bool:
-    """Return whether a reference of the one shape broadcasts to a result of the other shape."""
+    """Return whether a reference of one shape broadcasts to a result of another shape."""
     try:
         return np.broadcast_shapes(reference, result) == result
     except ValueError:

@@ -193,7 +193,7 @@ def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
 
 
 def part_seconds(problem: Problem, seconds: float) -> float:
-    """Return the time of a call of the measured part, s, from that of the whole."""
+    """Return the time of a call of the measured part, s, from the time of the whole."""
     once = min(problem.once(), seconds)
     return once + (seconds - once) / problem.whole
 

@@ -57,7 +57,7 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """Return the relative error of coordinates within which shapes touch: a few ULP."""
+    """Return the relative distance, a few ULP, within which shapes count as touching."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)

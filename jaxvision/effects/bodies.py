@@ -143,7 +143,7 @@ def plane_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
-    """Combine bodies into one batch, with the last ball of smaller ones repeated."""
+    """Combine bodies into one batch, in which smaller bodies repeat their last ball."""
     most = max((len(points) for points, _ in bodies), default=1)
     points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
     for i, (own, size) in enumerate(bodies):

@@ -58,7 +58,7 @@ def bounce_rows(onward: "Onward") -> tuple[Row, ...]:
 
 
 def shorter(depth: int) -> list[int]:
-    """List the tried numbers of segments below `depth`: all up to 16, then by a quarter."""
+    """List the numbers of segments to try below `depth`: all up to 16, then steps of a quarter."""
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)

@@ -340,7 +340,8 @@ class Pixel:
 
     @cached_property
     def charge(self) -> Charge:
-        """The random charge of the brightest pixel, hot if there are such, before any full well."""
+        """The random charge of the brightest pixel, a hot one if there are any, before a full
+        well."""
         gaussian = isinstance(self.sensor.high["shot_noise"], GaussianShotNoise)
         return Charge(
             self.light,

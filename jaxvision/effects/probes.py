@@ -1,7 +1,7 @@
 """Estimate changes of radiance from small pictures, because the proved bounds may be far too large.
 
 The change by any single effect of a scene is estimated by a picture with the effect and a picture
-without it. Both use the same random numbers. The light of long paths is extrapolated.
+without it. Both pictures use the same random numbers. The light of long paths is extrapolated.
 
 In the Cornell box, a bright closed room, the proved bound of `bounces` requires tens of path
 segments. For an estimate, pictures of 16 x 16 pixels with 64 paths each are rendered with n, n + 1
@@ -75,7 +75,7 @@ def coarse_view(view: View, side: int) -> View:
 def paired_effects(rows: Sequence[Row], start: Draft, scene: Scene) -> Iterator[Effect | None]:
     """Yield, for each `Row`, the largest change of a small picture without the effect, as an
     `Effect` of rank "estimate". Yield None where the bound is at most the brightest pixel of that
-    picture, and for effects of the lens and the sensor and those that cannot be dropped alone.
+    picture, for effects of the lens and the sensor, and for effects that cannot be dropped alone.
     `start` is the `Draft` with all effects."""
     of_scene = [row.unit == RADIANCE and not row.ladder and not start.motion for row in rows]
     picture, error = _small_picture(scene, start) if any(of_scene) else np.zeros((2, 1))

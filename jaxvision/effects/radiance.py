@@ -46,7 +46,7 @@ def scene_stage(
 ) -> tuple[tuple[Row, ...], Arriving, Onward]:
     """Return a `Row` for every effect of a scene over the range of its free parameters. Also return
     bounds on the light at the camera, in W m^-2 sr^-1, and the suprema from which all bounds
-    follow, with their reflections.
+    follow, with bounds on further reflections (`Onward`).
 
     `depth` is the largest number of path segments, or None for direct light, as in `render`. With
     `caustics`, paths also start at the lights.

@@ -92,7 +92,7 @@ def prnu(pixel: Pixel) -> Bound:
 
 
 def dead_pixels(pixel: Pixel) -> Bound:
-    """Bound dead pixels by all their light, which matters within their `reach`."""
+    """Bound dead pixels by all their light, which affects the pixels within their `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels are dead; the bound is for these"
     return Bound(pixel.distribution_change(pixel.light, patterned=True), why, rare=rare)

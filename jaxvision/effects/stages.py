@@ -167,9 +167,9 @@ class OnSensor(NamedTuple):
 class Response(NamedTuple):
     """The response of the sensor to a change of the light. `dn` takes a change of irradiance in any
     pixel, (bands,) W m^-2, and the names of the dropped effects. It returns the largest change of a
-    pixel's distribution, in DN. It needs the names because a change of the shot noise has a larger
-    effect if there is less other noise. `dark` is the rms of all noise in the dark, in DN; the unit
-    "sigma" means multiples of `dark`."""
+    pixel's distribution, in DN. `dn` needs the names because a change of the shot noise has a
+    larger effect if there is less other noise. `dark` is the rms of all noise in the dark, in DN;
+    the unit "sigma" means multiples of `dark`."""
 
     dn: Callable[[np.ndarray, Gone], float]
     dark: float

@@ -77,7 +77,7 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
 
 def read_netpbm(file: Path) -> np.ndarray:
     """Read the codes of a Netpbm file, (h, w) or (h, w, 3): uint8 or uint16, 1 for the white of a
-    bitmap, float32 for a PFM. Raise `InputError` for a damaged or other file."""
+    bitmap, float32 for a PFM. Raise `InputError` for a damaged file, or one of another format."""
     data = file.read_bytes()
     head = netpbm_head(file, data)
     channels = _CHANNELS[head.magic]

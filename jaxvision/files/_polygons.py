@@ -50,7 +50,7 @@ def are_fans(pieces: list[np.ndarray]) -> bool:
 
 
 def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Divide a polygon by ear clipping along its main axis; the fan if it intersects itself."""
+    """Divide a polygon by ear clipping; one that intersects itself is divided into the fan."""
     axis = int(np.abs(normal).argmax())
     x, y = np.delete(corners, axis, axis=1).T
     if (normal[axis] < 0) != (axis == 1):  # x and z are seen from behind

@@ -517,7 +517,7 @@ def _warn_of_unused(
 
 
 def _tiff_colours(page: TiffPicture, *, profiled: bool) -> Iterator[str]:
-    """Describe a tone curve and primaries in a TIFF's own tags that are not those of sRGB."""
+    """Describe how tone curve and primaries in a TIFF's own tags differ from sRGB."""
     curve = np.array(page.values.get(tiff.TRANSFER, ()))
     bits = page.first(tiff.BITS, 1)
     if not profiled and bits <= 16 and curve.size in (1 << bits, 3 << bits):

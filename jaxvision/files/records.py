@@ -74,7 +74,7 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """Return the table, with `kind` and fields not None, from which `record_of` makes it."""
+    """Return a record as a table with `kind` and the fields that are not None, for `record_of`."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)

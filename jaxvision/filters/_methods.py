@@ -51,8 +51,8 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
 
 
 def correlate_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """Correlate by `lax.conv_general_dilated`. Bands are a batch if they share a kernel, else
-    feature groups.
+    """Correlate by `lax.conv_general_dilated`. Bands that share a kernel are a batch, other bands
+    are feature groups.
     """
     wide, bands = padded(image, kernel.shape[:2], anchor, border), image.shape[-1]
     shared = kernel.shape[-1] == 1

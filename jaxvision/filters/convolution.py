@@ -3,7 +3,7 @@
 Pictures are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
 separate plane; the result has the picture's shape, unit and floating dtype. Integers (uint8,
 uint16) become floating numbers of the same value and are never scaled. Kernels are (kh, kw), or
-(kh, kw, bands) with one kernel a band; they may be larger than the picture. `anchor` is the entry
+(kh, kw, bands) with one kernel per band; they may be larger than the picture. `anchor` is the entry
 of the kernel that lies on the pixel of the result: by default (kh // 2, kw // 2), the middle of an
 odd kernel and the second of the two middle entries of an even one, as in scipy and OpenCV.
 `correlate` and `convolve` also take a signal (n,) with a kernel (k,) and an anchor (entry,).
@@ -87,8 +87,8 @@ def correlate(
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
-        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
-            or any.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel per band, or (k,) for a signal; any
+            unit or none.
         anchor: (row, column), or (entry,), of the kernel entry that lies on the pixel; None for the
             middle.
         border: a key of `padding.BORDERS`. The default, "mirror", is OpenCV's BORDER_REFLECT;
@@ -135,8 +135,8 @@ def convolve(
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
-        kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
-            or any.
+        kernel: (kh, kw), or (kh, kw, bands) with one kernel per band, or (k,) for a signal; any
+            unit or none.
         anchor: (row, column), or (entry,), of the kernel entry that lies on the pixel; None for the
             middle.
         border: a key of `padding.BORDERS`.
@@ -182,7 +182,7 @@ def correlate_separable(
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
-        column: (kh,), or (kh, bands) with one column a band; no unit, or any.
+        column: (kh,), or (kh, bands) with one column per band; no unit, or any.
         row: (kw,), or (kw, bands).
         anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: a key of `padding.BORDERS`.

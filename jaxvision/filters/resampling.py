@@ -115,7 +115,7 @@ def _propagate_nan(total: Floats, image: Floats, rows: Floats, columns: Floats) 
     """
 
     def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
-        """Count, for each pixel of the result, the chosen pixels whose weight has that sign."""
+        """Count, for each pixel of the result, the chosen pixels whose weight has a given sign."""
         values = chosen.astype(jnp.float32)
         same, opposite = (
             jnp.einsum(

@@ -169,8 +169,7 @@ def _lens_findings(view: View) -> list[str]:
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
-    """Return the settings, in which settings that do not affect the compiled program have fixed
-    values."""
+    """Return the settings, with fixed values for those that do not affect the compiled program."""
     return settings.model_copy(update={"seed": 0, "tile": 1})
 
 

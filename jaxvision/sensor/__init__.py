@@ -12,7 +12,7 @@ the exposure. An effect whose parameter is None is not traced. `Sensor` and the 
 effects are in `jaxvision.scene`.
 
 Electron counts are differentiated by a reparameterisation (see `shot_noise`). The derivative of
-rounding is taken as 1, and the derivative is 0 where a value is clipped. Gradients of means and
+rounding is defined as 1, and the derivative is 0 where a value is clipped. Gradients of means and
 mean squares of raw data are therefore unbiased if the noise exceeds 1 DN. Each stage lists the
 terms that its gradient neglects. The page "Gradients of noise" gives the size of the errors.
 """

@@ -87,11 +87,11 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
         C(j, i) (1 - eps)^(i + 1) eps^(j - i)
 
-    The charge of a packet is computed in `trail` rows behind it. The last of these rows receives
-    all charge that lags farther, so charge is lost only beyond the last row of the image. The lag
-    is approximately a Poisson variable with mean eps i. If the mean lag is 0.3 rows, the share that
-    lags more than 8 rows is 4e-11. If the mean lag is 3 rows, this share is 4e-3, and a longer
-    trail is needed.
+    The lagging charge of a packet is computed for the `trail` rows behind it. The last of these
+    rows receives all charge that lags farther, so charge is lost only beyond the last row of the
+    image. The lag is approximately a Poisson variable with mean eps i. If the mean lag is 0.3 rows,
+    the share that lags more than 8 rows is 4e-11. If the mean lag is 3 rows, this share is 4e-3,
+    and a longer trail is needed.
 
     Args:
         electrons: (..., h, w, bands) electrons per packet.

@@ -615,7 +615,7 @@ def _light_offset(sensor: Sensor, like: Counts) -> Scalars | None:
 
 
 def _shutter(sensor: Sensor) -> Scalar | None:
-    """Return the nominal exposure time divided by the actual exposure time of the light; None if
+    """Return the nominal exposure time divided by the time during which light is collected; None if
     both are equal."""
     if not isinstance(sensor.light_offset, ShutterOffset):
         return None

@@ -101,7 +101,7 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
         var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
 
-    Rounding is taken to add 1/12 DN^2, which is accurate if the other noise exceeds about half a
+    Rounding is assumed to add 1/12 DN^2, which is accurate if the other noise exceeds about half a
     DN.
 
     Args:
@@ -288,7 +288,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     effect, charge transfer inefficiency, mixing, or unequal gains. In all other cases the signal
     before clipping is assumed to be Gaussian, which is exact for Gaussian noise. For Poisson noise,
     the error of the mean is less than 0.07 times the noise's RMS divided by sqrt(electrons at the
-    clipping level). Rounding is exact for noise below 1 DN, and is taken to add 1/12 DN^2 for
+    clipping level). Rounding is exact for noise below 1 DN, and is assumed to add 1/12 DN^2 for
     larger noise. The result is smooth in every parameter of a noisy sensor, and its gradients fall
     to 0 beyond saturation.
 
@@ -556,8 +556,8 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
 
 
 def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
-    """Return the moments of the numbers of the ADC, in DN. Without noise, rounding is taken to add
-    1/12 DN^2, except for a single count of electrons (`of_one_count`), for which rounding is
+    """Return the moments of the numbers of the ADC, in DN. Without noise, rounding is assumed to
+    add 1/12 DN^2, except for a single count of electrons (`of_one_count`), for which rounding is
     exact."""
     if sensor.bits is None:
         return _signal(sensor, read)

@@ -226,7 +226,7 @@ def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _listing(parts: Iterable[str]) -> Numbers | None:
-    """Return the numbers of a finding that lists some parts; None if there are none."""
+    """Return the values of a finding that lists several items; None if there are no items."""
     listing = ", ".join(parts)
     return {"listing": listing} if listing else None
 

@@ -239,9 +239,9 @@ def encoded_fit(
     view: View, form: Form, linear: Iterable[ChannelFit], cells: Grouping
 ) -> tuple[Photographs, ChannelFit] | None:
     """Return the photographs and the fit of encoded files if images without a stated gamma are
-    encoded. They are encoded if decoding them, as sRGB or with a fitted exponent far from 1, more
-    than halves the error of every model of linear files. The models of linear files include rough
-    surfaces, because these have flat shading too.
+    encoded. Images count as encoded if decoding them, as sRGB or with a fitted exponent far from 1,
+    more than halves the error of every model of linear files. The models of linear files include
+    rough surfaces, because these have flat shading too.
     """
     observation = view.observation
     if observation.camera.gamma is not None:
@@ -294,7 +294,7 @@ def _decoded_from_srgb(observation: Photographs) -> Photographs:
 
 
 def _error_in_srgb(fit: ChannelFit) -> float:
-    """Return the relative RMS error of a fit to decoded images in their encoded digital numbers."""
+    """Return the relative RMS error, in encoded digital numbers, of a fit to decoded images."""
     samples = fit.samples
     trusted = samples.dn < samples.clip
     predicted, measured = (
@@ -368,8 +368,8 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 
 
 def samples_in_highlight(fit: ChannelFit) -> float:
-    """Effective number of samples in the fitted highlight: the square of their sum over the sum of
-    their squares."""
+    """Return the effective number of samples in the fitted highlight: the square of the sum of the
+    lobe's signals, divided by the sum of their squares."""
     matt = np.array(fit.vector)
     matt[[parameter.name for parameter in fit.space].index("specular")] -= NEGLIGIBLE
     lobe = np.asarray(predict(fit.vector, fit.samples).dn - predict(matt, fit.samples).dn)

@@ -55,7 +55,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
 def said_of_channels(
     table: Iterable[Finding], calibration: Any, fits: Sequence[Any]
 ) -> tuple[str, ...]:
-    """Return the findings of a table about each fit. The conditions of the table take the
+    """Evaluate the findings of a table for each fit. The conditions of the table take the
     calibration and the fit.
     """
     return tuple(
@@ -66,7 +66,7 @@ def said_of_channels(
 
 
 def quoted(sentences: Iterable[str]) -> list[Numbers]:
-    """Return the entries of a finding that quotes whole sentences of other modules."""
+    """Return sentences of other modules as the entries of a finding that quotes them."""
     return [{"sentence": sentence} for sentence in sentences]
 
 

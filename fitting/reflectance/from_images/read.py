@@ -410,7 +410,7 @@ def _drop_unreadable(rig: Rig, load: Load) -> tuple[Rig, Load, list[str]]:
     kept = tuple(light for light in rig.light if light.file not in gone)
 
     def read(path: Path) -> np.ndarray:
-        """Return an image, which is then kept no longer."""
+        """Return an image, and release it from memory."""
         image = stored.pop(path, None)
         return load(path) if image is None else image
 

@@ -47,11 +47,11 @@ def make_map(
     wrap: Literal["repeat", "clamp"] = "repeat",
 ) -> Map:
     """Make a map from the keys of its table in a scene file, in the unit of the number that the map
-    replaces. A picture of normals holds (n + 1) / 2, or n itself if it has numbers below 0.
-    A map from a picture may have the key `encoding`, and the key `channel`, which is the
-    index of one channel, from 0. By default, a map of a spectrum uses all channels of the picture
-    except alpha, and a map of one number uses their luminance. Raise `InputError` if the number of
-    channels does not fit the spectrum.
+    replaces. A picture of normals holds (n + 1) / 2 for each component n, or n itself if it has
+    numbers below 0. A map from a picture may have the key `encoding`, and the key `channel`, which
+    is the index of one channel, from 0. By default, a map of a spectrum uses all channels of the
+    picture except alpha, and a map of one number uses their luminance. Raise `InputError` if the
+    number of channels does not fit the spectrum.
 
     Args:
         map: path of a picture, relative to the scene file.

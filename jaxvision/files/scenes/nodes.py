@@ -31,7 +31,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Named:
-    """A spectrum that the other program has under a name."""
+    """A spectrum that the other program knows by name."""
 
     name: str
 

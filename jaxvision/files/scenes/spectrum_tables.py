@@ -112,7 +112,7 @@ def _words(head: str) -> set[str]:
 
 
 def _wavelength_column(file: Path, heads: list[str]) -> int:
-    """Return the first column named as wavelengths or by their unit, or the first."""
+    """Return the first column headed by wavelengths or a unit of length, else the first column."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH
     named = [n for n, words in enumerate(sure) if words & _WAVELENGTH]
@@ -126,7 +126,7 @@ def _wavelength_column(file: Path, heads: list[str]) -> int:
 
 
 def _value_column(file: Path, others: list[str], quantity: str) -> str:
-    """Return the header of the only column of values; refuse if it is not clear."""
+    """Return the header of the only column of values; `InputError` if several are possible."""
     left = [h for h in others if not (_words(h) <= _INDEX or _words(h) & _UNCERTAINTY)]
     named = [h for h in left if _words(h) & _VALUES[quantity]]
     chosen = left if len(left) == 1 else named

@@ -60,7 +60,7 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
-    """Convert a shape with its BSDF and area light; with a light alone, it is black."""
+    """Convert a shape with its BSDF and area light; a shape with a light but no BSDF is black."""
     bsdf, emitter = node.only_child("bsdf"), node.only_child("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False

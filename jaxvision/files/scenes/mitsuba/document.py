@@ -48,8 +48,8 @@ def _parse(file: Path) -> xml.Element:
 
 
 def _check_depth(root: xml.Element) -> xml.Element:
-    """Return the root of an XML tree, after checking its depth, and that it has no text outside of
-    attributes, which nothing would read."""
+    """Return the root of an XML tree. Refuse a tree that is too deep, or that has text outside of
+    attributes, which would be ignored."""
     level, depth = [root], 0
     while level:
         for element in level:
@@ -104,7 +104,7 @@ class _Reader:
         return made
 
     def _set(self, node: Node, given: Mapping[str, str], value: Any) -> None:
-        """Set a value of a node; `InputError` if it has one of that name."""
+        """Set a value of a node; `InputError` if the node already has a value of that name."""
         name = given.get("name", "")
         if name in node.values:
             raise node.wrong(f"{name!r} stands twice; leave one of them.")

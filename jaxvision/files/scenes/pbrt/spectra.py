@@ -110,8 +110,8 @@ def mixed(node: Node, first: Any, second: Any, share: float) -> Any:
 
 
 def map_of(texture: Node) -> dict[str, Any]:
-    """Return the table of the map of an `imagemap`. Its v counts from the top of the picture, where
-    pbrt's counts from the bottom."""
+    """Return the table of the map of an `imagemap`. In the table v counts from the top of the
+    picture, in pbrt from the bottom."""
     encoding = texture.take("encoding", str, "sRGB")
     wrap = texture.take("wrap", str, "repeat")
     if encoding not in ("sRGB", "linear") or wrap not in ("repeat", "clamp"):
