@@ -9,7 +9,5 @@ from .from_images.read import (
 )
 from .from_images.read import read_reflectance_observation as read_reflectance_observation
 from .models import LABELS as LABELS, REFLECTANCES as REFLECTANCES
-from .stereo import (
-    Stereo as Stereo,
-    photometric_stereo as photometric_stereo,
-)
+from .stereo.calibration import photometric_stereo as photometric_stereo
+from .stereo.result import Stereo as Stereo

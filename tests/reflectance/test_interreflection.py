@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fitting.reflectance import photometric_stereo
-from fitting.reflectance.stereo_interreflection import _integrated, exchange_of
+from fitting.reflectance.stereo.interreflection import _integrated, exchange_of
 from jaxvision.errors import InputError
 
 CAP = np.radians(60)

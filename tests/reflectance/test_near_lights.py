@@ -5,7 +5,7 @@ import pytest
 from test_photometric_stereo import rough
 
 from fitting.reflectance import photometric_stereo
-from fitting.reflectance.stereo_lights import light_covariance, solved
+from fitting.reflectance.stereo.lights import light_covariance, solved
 from jaxvision.errors import InputError
 
 RNG = np.random.default_rng(4)

@@ -40,7 +40,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln
 
-from .stereo_lights import (
+from .lights import (
     Images,
     Matrices,
     OfPixels,

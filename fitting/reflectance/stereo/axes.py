@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.ndimage import convolve
 
-from ..inference.formatting import format_percent
+from ...inference.formatting import format_percent
 
 STEEPEST = 0.3  # least nz: slopes at the rim of a body change too fast for differences
 FEWEST = 50  # fewest cells of 2 x 2 blocks

@@ -26,7 +26,7 @@ from jaxvision import as_vec
 from jaxvision.core.parallel_loops import map_
 from jaxvision.transport.radiosity import point_to_polygon
 
-from .stereo_lights import Images
+from .lights import Images
 
 ACROSS = 32  # facets along the longer side of the image
 STEEPEST = 0.1  # least nz of a facet

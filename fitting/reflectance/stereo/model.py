@@ -22,10 +22,10 @@ from jaxtyping import Array, Float, Int
 from jaxvision import as_vec
 from jaxvision.brdf import reflect
 
-from ..inference.precision import double_precision
-from .models import REFLECTANCES, has_lobe, log_range
-from .names import INDEX, Model
-from .stereo_lights import (
+from ...inference.precision import double_precision
+from ..models import REFLECTANCES, has_lobe, log_range
+from ..names import INDEX, Model
+from .lights import (
     NORMAL_MAD,
     TAIL,
     Counted,
