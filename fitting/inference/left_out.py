@@ -39,7 +39,8 @@ class LeftOut:
 def distance(
     squares: Float[np.ndarray, "..."], *, parts: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
-    """Return the 2-Wasserstein distance by which independent errors change the data's law."""
+    """Return the 2-Wasserstein distance by which independent errors change the data's
+    distribution."""
     return float(np.sqrt(np.sum(parts * (np.sqrt(1 + squares) - 1) ** 2)))
 
 

@@ -2,9 +2,10 @@
 projection).
 
 Suppose the residuals r of a `Problem` are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a. For
-given nonlinear numbers t, the best a, unbounded or at least 0, then solve a small linear problem,
-and the search is over t alone (`eliminate`). Its steps include the derivative of the best a with
-respect to t, so they equal the steps of the whole problem. No start for a is needed.
+given nonlinear numbers t, the best a, unbounded or at least 0, is then the solution of a small
+linear problem, and the search is over t alone (`eliminate`). Its steps include the derivative of
+the best a with respect to t, so they equal the steps of the whole problem. No start for a is
+needed.
 
 `fit_separable` needs no start at all. It fits data y_b in several bands b by a model with fixed
 columns f_1 ... f_K and one column g(t). Its only nonlinear parameter t is shared by all bands:
@@ -158,8 +159,8 @@ def fit_separable(
     coarse: Float[Any, "knots observations"] | None = None,
     finer: int = KNOTS,
 ) -> SeparableFit:
-    """Return the global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. To
-    evaluate fewer columns, use fewer knots in each of the `finer` grids, of which more are then
+    """Return the global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t. With
+    fewer knots in each of the `finer` grids, fewer columns are evaluated, but more grids are
     needed.
     """
     knots = first_knots(lower, upper)

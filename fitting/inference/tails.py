@@ -144,7 +144,7 @@ def _large_dof(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array,
 
 
 def _prepend_axis(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
-    """Return values along a new axis before those of z."""
+    """Return values along a new axis in front of the axes of z."""
     return values.astype(z.dtype).reshape(-1, *(1,) * z.ndim)
 
 
@@ -169,9 +169,9 @@ def _log_student_jvp(primals, tangents):
 
 
 def _half_step(a: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return ln Gamma(a + 1/2) - ln Gamma(a) without cancellation of two large logarithms. The
-    recurrence raises a by some steps, and there a few terms of the asymptotic series (DLMF 5.11.13)
-    are exact enough.
+    """Return ln Gamma(a + 1/2) - ln Gamma(a) without cancellation of two large logarithms. A
+    recurrence raises a by some steps, to a value at which a few terms of the asymptotic series
+    (DLMF 5.11.13) are exact enough.
     """
     product = jnp.ones_like(a)
     for k in range(_STEPS):

@@ -108,8 +108,8 @@ def fit_channel(
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
     """Return the best fit of one channel. The fit is linear in errors of the light directions.
-    `about` are the rotations (2, images), rad, between the light directions of the rig and those of
-    this observation; None if the directions are equal.
+    `about` are the rotations (2, images), rad, from the rig's light directions to the light
+    directions of this observation; None if the directions are equal.
 
     If no highlight is significant, Lambert's model is fitted. Too few lit cells raise `InputError`.
     """

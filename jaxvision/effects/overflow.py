@@ -15,8 +15,8 @@ u), where u depends on how the electrons are counted:
     u = theta + theta^2 / 2   Gaussian shot noise
 
 The mean m varies between pixels: m = light max(1 + p g, 0) + dark + hot, where light and dark are
-the expected electrons, p is the PRNU, g is standard normal, and the electrons hot of a hot pixel
-are exponentially distributed.
+the expected electrons, p is the PRNU, g is standard normal, and hot, the additional electrons of a
+hot pixel, is exponentially distributed.
 """
 
 import math

@@ -245,7 +245,8 @@ def _largest_sent(
 
 
 def _make_lambertian(i: int, bands: int = 1) -> Drop:
-    """Return a function that leaves the diffuse part of a surface, or black in that many bands."""
+    """Return a function that reduces a surface to its diffuse part, or to black in that many
+    bands."""
     name = f"surfaces[{i}].material"
     return lambda draft: setting(name, to=lambertian(value_at(draft, name), bands=bands))(draft)
 

@@ -28,8 +28,8 @@ _TAIL_ODDS = 2.3e-19  # P(|g| > 9)
 
 
 def conversion_prnu(pixel: Pixel) -> Bound:
-    """Bound the effect of a conversion PRNU c by sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m), with
-    the largest mean charge m and the variance V of the read-out noise."""
+    """Bound the effect of a conversion PRNU c by sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m), where m
+    is the largest mean charge and V is the variance of the read-out noise."""
     rms, charge = pixel.high("conversion_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -41,8 +41,8 @@ def conversion_prnu(pixel: Pixel) -> Bound:
 
 
 def column_prnu(pixel: Pixel) -> Bound:
-    """Bound the effect of a column PRNU q by sqrt(v + q^2 (v + m^2)) - sqrt(v), with the largest
-    mean charge m of a pixel and the variance v of all noise of that pixel."""
+    """Bound the effect of a column PRNU q by sqrt(v + q^2 (v + m^2)) - sqrt(v), where m is the
+    largest mean charge of a pixel and v is the variance of all noise of that pixel."""
     rms, charge = pixel.high("column_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")

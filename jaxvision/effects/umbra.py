@@ -3,12 +3,12 @@ shadow.
 
 A cell cannot be shaded if the convex hull of the cell and the lamp is disjoint from every occluder
 that `blocking.may_block` allows. A cell is in the full shadow of a flat occluder under two
-conditions. First, the cell is on the other side of the occluder's plane than the lamp. Second, for
-each corner of the lamp, the cell is inside all planes through that corner and a side of the
-occluder. Then every segment from the cell to a corner of the lamp meets the occluder. Segments from
-the cell to other points of the lamp also meet the occluder, because they cross its plane within the
-convex hull of the points where the segments to the corners cross. The eye is treated like a lamp:
-cells in the full shadow of the eye are not seen. Lengths in m.
+conditions. First, the occluder's plane separates the cell from the lamp. Second, for each corner of
+the lamp, the cell is inside all planes through that corner and a side of the occluder. Then every
+segment from the cell to a corner of the lamp meets the occluder. Segments from the cell to other
+points of the lamp also meet the occluder, because they cross its plane within the convex hull of
+the points where the segments to the corners cross. The eye is treated like a lamp: cells in the
+full shadow of the eye are not seen. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -185,8 +185,9 @@ def umbra_flags(
     occluders: Sequence[int] | None = None,
 ) -> np.ndarray:
     """Return flags, (l, c): whether a whole cell is in the full shadow that one flat occluder
-    casts; lengths in m. A cell whose flag is True certainly is, up to the rounding of coordinates.
-    `occluders` are the indices of the surfaces that may block light, all if None."""
+    casts; lengths in m. A cell whose flag is True is certainly in full shadow, up to the rounding
+    of coordinates. `occluders` are the indices of the surfaces that may block light, all if
+    None."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
     whole, bounded = surface_bodies(surfaces)
@@ -292,8 +293,8 @@ def _rim(shape: Shape) -> np.ndarray:
 def _is_past_occluder(
     cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
-    """Return flags, (c,): whether a cell is certainly on the other side of the occluder than the
-    light. The flag is False for cells in the plane of the occluder, because rounding decides on
+    """Return flags, (c,): whether the occluder's plane certainly separates a cell from the light.
+    The flag is False for cells in the plane of the occluder, because rounding decides on
     which side they are. A cell of a ball, and a flat cell, may touch the occluder."""
     normal, offset = shadow.normals[0], shadow.offsets[0]
     lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))

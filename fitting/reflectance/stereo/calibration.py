@@ -1,13 +1,13 @@
 """Photometric stereo: normals and albedo from photographs under different lights, in closed form
 for each pixel.
 
-For a matte surface under a light of direction l and irradiance E, the reading of a pixel is
-m = E rho n.l, with n its unit normal and rho its albedo in the unit of the readings over that of E.
-Distant lights have the same l and E in all pixels. A near light of radiant intensity I at a
-distance d from the point of the surface has E = I / d^2.
-The reading is linear in the vector g = rho n. Therefore three lights determine g, and with more
-lights g is estimated by least squares (Woodham, Optical Engineering 19, 1980). Attached and cast
-shadows, clipped pixels and highlights are outliers of this model.
+For a matte surface under a light of direction l and irradiance E, the reading of a pixel is m = E
+rho n.l. Here n is the unit normal, and rho the albedo, whose unit is the unit of the readings
+divided by the unit of E. Distant lights have the same l and E in all pixels. A near light of
+radiant intensity I at a distance d from the point of the surface has E = I / d^2. The reading is
+linear in the vector g = rho n. Therefore three lights determine g, and with more lights g is
+estimated by least squares (Woodham, Optical Engineering 19, 1980). Attached and cast shadows,
+clipped pixels and highlights are outliers of this model.
 """
 
 from dataclasses import replace

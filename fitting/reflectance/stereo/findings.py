@@ -1,4 +1,4 @@
-"""Sentences on what the images show beside normals and albedo."""
+"""Sentences on what the images show in addition to normals and albedo."""
 
 import numpy as np
 from jaxtyping import Bool, Int
