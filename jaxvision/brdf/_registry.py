@@ -37,7 +37,7 @@ class Family(NamedTuple):
     `specular(material, w)` returns how a ray that came from `w` continues; it is None unless the
     BRDF is a sum of delta functions. `absorption(material)` returns the absorption of the body
     behind the surface, (bands,) m^-1; it is None for a family that encloses no body. `bound`
-    returns the suprema of the shading; it is None if no bound is known. `table` describes the
+    returns upper bounds on the shading; it is None if no bound is known. `table` describes the
     material's table in scene files, or is None. `isotropic(material)` tells whether the BRDF
     depends on the azimuths of `wi` and `wo` only by their difference.
     """

@@ -240,7 +240,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
 
 
 def _bound(x: Ends[RGL]) -> Reflection:
-    """Return infinite suprema, because no bound is known."""
+    """Return infinite bounds, because no bound is known."""
     bands = x.low.values.shape[-1]
     why = "no bound of an adaptive table is known"
     return Reflection(np.full(bands, np.inf), plain=np.inf, why=why)

@@ -141,10 +141,10 @@ def power_of(cosines: np.ndarray, n: float) -> np.ndarray:
 
 
 class Reflection(NamedTuple):
-    """The suprema of the shading of one material.
+    """Upper bounds on the shading of one material.
 
     Attributes:
-        body: (bands,) sr^-1, the supremum of f_r of the diffuse part.
+        body: (bands,) sr^-1, upper bound on f_r of the diffuse part.
         lobe: bounds on the specular lobe, or None.
         plain: (bands,) sr^-1, the largest difference between the diffuse part (without its share
             `grazing`) and a Lambertian BRDF of the same k_d; 0 for a Lambertian surface.

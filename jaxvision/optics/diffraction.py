@@ -2,8 +2,8 @@
 
 All lengths are in m on the sensor, and frequencies in cycles per m (m^-1). The f-number is the
 working f-number, image distance over lens diameter (`working_f_number`), which equals that of the
-lens at infinity focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result
-for each band.
+lens for focus at infinity. Arguments are elementwise and broadcast: wavelengths (bands,) give a
+result for each band.
 
 Source:
     Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.

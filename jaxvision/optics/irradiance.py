@@ -3,10 +3,10 @@
     E = L A cos^4 / z_i^2,   with a round aperture   E = L (pi / 4) (d / z_i)^2 cos^4
 
 E is the irradiance, L the radiance, A the area of the aperture, d its diameter, z_i the distance to
-the sensor (the focal length only at infinity focus) and cos the cosine between the chief ray and
-the axis. The factor cos^4 is due to the distance z_i / cos of the small aperture, and to the
-inclination of both aperture and sensor to the ray. Only this module applies the factor; rays have
-no such weight.
+the sensor (equal to the focal length only for focus at infinity) and cos the cosine between the
+chief ray and the axis. The factor cos^4 is due to the distance z_i / cos of the small aperture, and
+to the inclination of both aperture and sensor to the ray. Only this module applies the factor; rays
+have no such weight.
 
 Source:
     Szeliski, Computer Vision, section 2.2.3.

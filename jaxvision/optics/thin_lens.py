@@ -122,8 +122,8 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
     """Return the ratio of image distance to lens diameter, z_i / d = N (1 + |m|), for a lens in
     focus.
 
-    m is the magnification. The working f-number determines exposure and diffraction. At infinity
-    focus it equals N.
+    m is the magnification. The working f-number determines exposure and diffraction. For focus at
+    infinity it equals N.
 
     Args:
         f_number: (...) N of the lens, no unit.
