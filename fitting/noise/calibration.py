@@ -104,8 +104,6 @@ def subtract_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
-_evaluated = compiled_briefly(evaluate)
-
 
 @dataclass(frozen=True)
 class Likelihood:
@@ -251,7 +249,7 @@ def calibrate(
     usable = linear_levels(measurement)
     # Taps that differ only in remarks share one compiled program.
     bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None, pattern=None)
-    standard = _evaluated(bare, within, shared=shared_noise(measurement.dark))
+    standard = evaluate(bare, within, shared=shared_noise(measurement.dark))
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
     counted = fitted_tables(measurement)

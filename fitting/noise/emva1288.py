@@ -32,6 +32,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codes import Converter
+from ..inference.compiled import compiled_briefly
 from .levels import PhotonTransfer, linear_levels, signal_of
 from .quantities import NEED_PHOTONS
 from .regressions import (
@@ -237,6 +238,7 @@ def linearity_deviation(
     return jnp.where(enough, off, jnp.nan)
 
 
+@compiled_briefly
 def evaluate(
     measurement: PhotonTransfer,
     within: Ranges,

@@ -320,20 +320,12 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
     return {"moved": abs(moved), "side": "below" if moved > 0 else "above"}
 
 
-def _noise_of_darks(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the dark noise of the darks and of the flats, extrapolated to no light; None if they
-    agree."""
+def _noise_of_darks(differs: bool, calibration: NoiseCalibration) -> Numbers | None:
+    """Return the noise of darks that `differs` from the flats', or that these hardly test."""
     found = _dark_noises(calibration.measurement, calibration.usable)
-    return found if found is not None and found["differ"] else None
-
-
-def _noise_unchecked(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the least factor by which another noise of the darks would show in the flats; None if
-    it is small, or if another one shows."""
-    found = _dark_noises(calibration.measurement, calibration.usable)
-    if found is None or found["differ"] or found["factor"] < LOOSE_CHECK:
+    if found is None or found["differ"] != differs:
         return None
-    return found
+    return found if differs or found["factor"] >= LOOSE_CHECK else None
 
 
 def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, float] | None:
@@ -800,14 +792,14 @@ FINDINGS = (
     ),
     Finding(
         "noise of the darks",
-        _noise_of_darks,
+        partial(_noise_of_darks, True),
         "Without light the flats have {flats:.3g} DN of noise, and the darks {darks:.3g} DN, as "
         "darks of another gain, setting or camera have. Dark noise, read noise and DSNU are "
         "computed from the darks: take them at the setting of the flats.",
     ),
     Finding(
         "noise of the darks unchecked",
-        _noise_unchecked,
+        partial(_noise_of_darks, False),
         "Dark noise and read noise are those of the darks. The flats confirm their noise of "
         "{darks:.3g} DN only to within a factor of {factor:.2g}, so that darks of another gain or "
         "read noise can pass. Take more frames of dim flats.",

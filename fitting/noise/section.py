@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
-from ..inference.estimates import Estimate, not_determined, quantile_estimate
+from ..inference.estimates import Estimate, Named, not_determined, quantile_estimate
 from ..inference.formatting import format_value
 from ..inference.parameters import names
 from ..report.left_out import left_out_tables
@@ -18,7 +18,7 @@ from ..rig import Camera
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
 from .doubts import OF_DARK_NOISE
-from .emva1288 import is_floored, least_dark_variance
+from .emva1288 import Evaluation, Ranges, is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_no_sensor, processing
 from .levels import PhotonTransfer
@@ -143,25 +143,16 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
     """Return the figures by regressions and by likelihood, then its other parameters."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
-    floored = is_floored(calibration.measurement, calibration.within)
-    values, errors = calibration.standard.values, calibration.standard.errors
-    listed: list[Estimate] = []
+    measurement, within = calibration.measurement, calibration.within
+    values, listed = calibration.standard.values, []
     for quantity in QUANTITIES:
         name = quantity.name
         if name in ("dsnu", "prnu"):
             listed += _pattern_estimates(calibration, quantity)
             continue
         if name in values:
-            value, error = float(values[name]), float(errors[name])
-            if floored and name in FROM_DARK_NOISE:
-                reason = floor_in_words(calibration.measurement, quantity, value)
-                listed.append(not_determined(quantity, reason, method=STANDARD))
-            elif not np.isfinite(value) and name.startswith("linearity"):
-                reason = "too few levels lie between 5 and 95 % of saturation; add flats there"
-                listed.append(not_determined(quantity, reason, method=STANDARD))
-            else:
-                one = sheet_estimate(quantity, value, error, STANDARD)
-                listed.append(widened(one, calibration.unequal))
+            one = standard_estimate(quantity, measurement, within, calibration.standard, STANDARD)
+            listed.append(widened(one, calibration.unequal))
         if name in by_likelihood:
             listed.append(by_likelihood[name])
         # The likelihood has one dark current, from means and variances together.
@@ -170,33 +161,50 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             listed.append(not_determined(quantity, reason, method=method))
     own = [found for name, found in calibration.estimates.items() if name not in by_likelihood]
     listed += [replace(found, method=LIKELIHOOD) for found in own]
-    return tuple(_replace_doubted(calibration, listed))
+    return replace_doubted(listed, measurement, processed=bool(processing(calibration)))
 
 
-def _replace_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
-    """Return the figures. If contradictory or processed frames do not determine a figure, the
-    reason replaces its value."""
-    doubts = calibration.measurement.doubts
-    why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
-    if processing(calibration):
+def replace_doubted(
+    listed: Sequence[Estimate], measurement: PhotonTransfer, *, processed: bool = False
+) -> tuple[Estimate, ...]:
+    """Return figures, with reasons for those that contradictory or `processed` frames hide."""
+    why = {name: doubt.reason for doubt in reversed(measurement.doubts) for name in doubt.of}
+    if processed:
         not_raw = "these files are not raw frames (see the first sentence)"
         why |= dict.fromkeys((*ON_GAIN, *OF_DARK_NOISE), not_raw)
-    return [
-        one
-        if one.name not in why or (one.value is None and one.name not in FROM_DARK_NOISE)
-        else replace(not_determined(one, why[one.name], method=one.method or ""), group=one.group)
-        for one in listed
-    ]
+    found = []
+    for one in listed:
+        name = one.name.split("_")[0] if one.name.startswith(("dsnu", "prnu")) else one.name
+        if name in why and (one.value is not None or name in FROM_DARK_NOISE):
+            one = not_determined(one, why[name], method=one.method or "", group=one.group)
+        found.append(one)
+    return tuple(found)
 
 
-def floor_in_words(measurement: PhotonTransfer, quantity: Quantity, value: float) -> str:
-    """Describe the limit on a figure if the dark noise is below the standard's minimum."""
-    side = "below" if FROM_DARK_NOISE[quantity.name] else "above"
-    floor = np.sqrt(least_dark_variance(measurement))
-    return (
-        f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
-        f"{floor:.2g} DN, where rounding dominates"
-    )
+def standard_estimate(
+    quantity: Quantity,
+    measurement: PhotonTransfer,
+    within: Ranges,
+    evaluation: Evaluation,
+    method: str,
+) -> Estimate:
+    """Return a figure by the standard's regressions, or why they do not give it."""
+    name = quantity.name
+    if name not in evaluation.values:
+        return not_determined(quantity, why_missing(measurement, name), method=method)
+    value, error = (float(x[name]) for x in (evaluation.values, evaluation.errors))
+    reason = ""
+    if name in FROM_DARK_NOISE and is_floored(measurement, within):
+        side = "below" if FROM_DARK_NOISE[name] else "above"
+        reason = (
+            f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
+            f"{np.sqrt(least_dark_variance(measurement)):.2g} DN, where rounding dominates"
+        )
+    elif not np.isfinite(value) and name.startswith("linearity"):
+        reason = "too few levels lie between 5 and 95 % of saturation; add flats there"
+    if reason:
+        return not_determined(quantity, reason, method=method)
+    return sheet_estimate(quantity, value, error, method)
 
 
 def _why_missing(calibration: NoiseCalibration, name: str) -> str:
@@ -221,7 +229,6 @@ def why_missing(measurement: PhotonTransfer, name: str) -> str:
 
 
 def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tuple[Estimate, ...]:
-    name, unit = quantity.name, quantity.unit
     if calibration.patterns is None:
         reason = (
             "a table of temporal sums does not contain the variance between pixels; give the "
@@ -241,22 +248,36 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
             gain_error if fitted is None else (fitted.standard_error or 0.0) / calibration.gain,
         ),
     ):
-        if name == "dsnu":
+        if quantity.name == "dsnu":
             spread, scale = pattern.dark, 1 / k
         else:
             spread, scale, relative = pattern.response, 100.0, 0.0
-        if not spread.significant:
-            why = _why_hidden(pattern, spread)
-            reason = why.format(f"below {scale * np.sqrt(spread.bound):.3g} {unit}")
-            found.append(not_determined(quantity, reason, method=method))
-            continue
-        value = float(np.sqrt(spread.variance))
-        error = scale * np.hypot(spread.error / (2 * value), value * relative)
-        ends = scale * deviation_quantiles(
-            spread.variance, spread.noise, spread.parts, relative=relative
+        why = _why_hidden(pattern, spread)
+        found.append(
+            deviation_estimate(quantity, spread, why, scale, relative=relative, method=method)
         )
-        found.append(quantile_estimate(quantity, scale * value, error, ends, method=method))
     return tuple(found)
+
+
+def deviation_estimate(
+    what: Named,
+    spread: Spread,
+    why: str,
+    scale: float = 1.0,
+    *,
+    relative: float = 0.0,
+    method: str = "",
+) -> Estimate:
+    """Return the deviation of an estimated variance, or (in `why`) a bound if it is hidden."""
+    if not spread.significant:
+        bound = f"below {scale * np.sqrt(spread.bound):.3g} {what.unit}"
+        return not_determined(what, why.format(bound), method=method)
+    value = float(np.sqrt(spread.variance))
+    error = scale * np.hypot(spread.error / (2 * value), value * relative)
+    ends = scale * deviation_quantiles(
+        spread.variance, spread.noise, spread.parts, relative=relative
+    )
+    return quantile_estimate(what, scale * value, error, ends, method=method)
 
 
 def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:

@@ -5,11 +5,11 @@ camera's operating point, and a sheet applies to one operating point.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from jaxvision.errors import InputError
 
-from ..rig import Dark, Flat, Level, Rig, kelvin
+from ..rig import Rig, kelvin
 
 
 @dataclass(frozen=True, order=True)
@@ -62,8 +62,14 @@ class Setting:
 
 def split_by_setting(rig: Rig) -> dict[Setting, Rig]:
     """Split a rig into one rig for each gain and temperature."""
-    flats, darks = _levels_by_setting(rig, rig.flat), _levels_by_setting(rig, rig.dark)
-    settings = {*flats, *darks}
+    settings: dict[Setting, dict[str, tuple[Any, ...]]] = {}
+    for kind in ("flat", "dark"):
+        for entry in getattr(rig, kind):
+            gain = entry.iso if entry.gain_db is None else entry.gain_db
+            warmth = entry.temperature or rig.camera.temperature
+            setting = Setting(gain, "ISO" if entry.gain_db is None else "dB", warmth)
+            own = settings.setdefault(setting, {"flat": (), "dark": ()})
+            own[kind] = (*own[kind], entry)
     for name, word in (("gain", "iso (or gain_db)"), ("temperature", "temperature")):
         if len({getattr(setting, name) is None for setting in settings}) > 1:
             raise InputError(
@@ -72,25 +78,8 @@ def split_by_setting(rig: Rig) -> dict[Setting, Rig]:
             )
     if len({setting.gain_unit for setting in settings if setting.gain is not None}) > 1:
         raise InputError(f"{rig.folder}: gains are stated as iso and as gain_db; use one of them.")
-    return {
-        setting: rig.model_copy(
-            update={
-                "flat": tuple(entry for entry in flats.get(setting, ()) if isinstance(entry, Flat)),
-                "dark": tuple(entry for entry in darks.get(setting, ()) if isinstance(entry, Dark)),
-            }
-        )
-        for setting in sorted(settings, key=lambda one: (one.gain_factor, one.temperature or 0))
-    }
-
-
-def _levels_by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, list[Level]]:
-    found: dict[Setting, list[Level]] = {}
-    for entry in entries:
-        gain = entry.iso if entry.gain_db is None else entry.gain_db
-        warmth = entry.temperature or rig.camera.temperature
-        setting = Setting(gain, "ISO" if entry.gain_db is None else "dB", warmth)
-        found.setdefault(setting, []).append(entry)
-    return found
+    order = sorted(settings, key=lambda one: (one.gain_factor, one.temperature or 0))
+    return {setting: rig.model_copy(update=settings[setting]) for setting in order}
 
 
 def require_one_setting(rig: Rig, remedy: str) -> None:

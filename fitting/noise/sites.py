@@ -114,7 +114,10 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     seen = {name for one in each for name in drawn_numbers(one).beside} - {"full_well"}
     numbers = [drawn_numbers(one, asked=frozenset(seen)) for one in each]
     count = min(len(one.natural) for one in numbers)
-    numbers, findings = _common_die([_shuffle(one, i, count) for i, one in enumerate(numbers)])
+    for i, one in enumerate(numbers):  # draws of two taps by one seed become independent
+        order = 1 + np.random.default_rng(i).permutation(count - 1)
+        numbers[i] = one.select_draws(np.concatenate([[0], order]))
+    numbers, findings = _common_die(numbers)
     widest = int(np.argmax([float(one.top) / one.parameter("system_gain")[0] for one in numbers]))
     sensors = [sensors_of(one) for one in numbers]
     rates = None
@@ -230,13 +233,6 @@ def tap_sensor(sensor: Sensor, tap: int) -> Sensor:
     if taps.offset is not None:
         found["offset"] = taps.offset[tap] + (0.0 if sensor.offset is None else sensor.offset)
     return replace(sensor, taps=None, **found)
-
-
-def _shuffle(numbers: Numbers, seed: int, count: int) -> Numbers:
-    """Return the draws in random order, so that draws of two taps that used the same seed are
-    independent."""
-    order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
-    return numbers.select_draws(order)
 
 
 def _common_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:

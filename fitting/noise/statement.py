@@ -430,7 +430,11 @@ def choose_model(
     candidates = candidates_for(measurement, problem.inputs, always, sharing=sharing)
     whole = replace_parameters(problem, always, candidates=candidates)
     chosen = _drop_candidates(fit_model(whole, standard), standard, sharing)
-    drifts = _may_be_drift(chosen, trend)
+    drifts = False
+    if trend is not None and any(p in chosen.space for p in CURVE):
+        # Means deviate by half as much as the slope does, and darks in between double the time.
+        bend = abs(float(gain_drop(chosen.values, chosen.data)))
+        drifts = bend <= 4 * abs(trend.total)
     if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
         # A drift of the light from level to level resembles a curved response, which a search may
         # find although the variances contradict it.
@@ -507,12 +511,3 @@ def _price(fit: LikelihoodFit, candidate: Candidate, sharing: bool) -> float:
     if LIGHT_SCATTER in fit.space and candidate.parameter in CURVE:
         scatter = int(jnp.sum(fit.data.lit)), 1 + sum(p in fit.space for p in CURVE)
     return price(count, chance=candidate.chance, scatter=scatter)
-
-
-def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
-    """Return whether a drift of the light over the flats, at the rate measured within levels, could
-    explain the curvature of the response."""
-    if trend is None or not any(p in fit.space for p in CURVE):
-        return False
-    # Means deviate by half as much as the slope does, and darks in between double the time.
-    return bool(abs(float(gain_drop(fit.values, fit.data))) <= 4 * abs(trend.total))

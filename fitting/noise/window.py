@@ -101,7 +101,12 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
     spread, known = 0.0, None
     if offsets is not None:
         spread = float(np.sqrt(np.max(np.asarray(offsets.spatial)))) / converter.step
-        known = _known_spread(measurement, usable, mean, lit)[levels] / converter.step**2
+        # Unequal gains and a drift of black shift pixels relative to the grid of codes, too.
+        response, wander = fitted_pattern(measurement, usable).response, drift(measurement.dark)
+        signal = converter.step * np.maximum(mean - mean[dark].min(), 0)
+        known = lit * signal**2 * (response.variance if response.significant else 0.0)
+        known = known + (wander.variance if wander.is_significant else 0.0)
+        known = known[levels] / converter.step**2
     return window_for(
         levels,
         mean[levels],
@@ -131,16 +136,3 @@ def offset_data(
         darks=jnp.asarray(float(len(spatial))),
         pixels=jnp.asarray(2 * offsets.variance**2 / sampling_variance(offsets.parts)),
     )
-
-
-def _known_spread(
-    measurement: PhotonTransfer, usable: np.ndarray, mean: np.ndarray, lit: np.ndarray
-) -> np.ndarray:
-    """Return the variance, DN^2, of shifts of pixels relative to the grid of codes from two causes
-    other than their offsets: unequal gains, in proportion to the signal, and a black level that
-    drifts between frames."""
-    response = fitted_pattern(measurement, usable).response
-    signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
-    found = lit * signal**2 * (response.variance if response.significant else 0.0)
-    wander = drift(measurement.dark)
-    return found + (wander.variance if wander.is_significant else 0.0)

@@ -30,7 +30,7 @@ def findings(calibration: CameraCalibration) -> tuple[str, ...]:
     return evaluate_findings(FINDINGS, calibration)
 
 
-def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
+def _claim(law: Law, calibration: CameraCalibration, *, rivals: bool = False) -> Numbers | None:
     """Return the largest deviations from an assumption that failed, and its test; else None."""
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
@@ -39,21 +39,17 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
     most = sorted(claim.own, key=lambda one: -round(abs(one.value) / one.error, 3))[:3]
     shown = most if law[0] == "dark_current" else [_relative(one) for one in most]
     scale, unit = (1, "e⁻/s") if law == ("dark_current", "temperature") else (100, "%")
-    rivals = [NAMES[rival[0]] for rival in claim.rivals if rival not in calibration.fit.freed]
+    # Assumptions that failed with this one, but passed after it was dropped.
+    others = [NAMES[rival[0]] for rival in claim.rivals if rival not in calibration.fit.freed]
+    if rivals and not others:
+        return None
     return {
         "own": ", ".join(f"{one.label}: {_signed_text(one, scale)} {unit}" for one in shown),
         "chi_square": claim.chi_square,
         "degrees": claim.degrees,
         "p": format_p(claim.p_value),
-        "rivals": " and ".join(dict.fromkeys(rivals)),
+        "rivals": " and ".join(dict.fromkeys(others)),
     }
-
-
-def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """Return the numbers for the finding on assumptions that failed together with this assumption,
-    but passed after this one was dropped; None if there are none."""
-    claim = _claim(law, calibration)
-    return claim if claim and claim["rivals"] else None
 
 
 def _dropped_law_findings(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, Finding]:
@@ -67,7 +63,7 @@ def _dropped_law_findings(quantity: Quantity, axis: Axis, sentence: str) -> tupl
         ),
         Finding(
             f"{key}: rivals",
-            partial(_rivals, law),
+            partial(_claim, law, rivals=True),
             "Before that, {rivals} seemed to differ between settings too. Now the frames no longer "
             "contradict a common law there, but they can hardly distinguish these cases.",
         ),

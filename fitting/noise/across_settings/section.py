@@ -13,7 +13,6 @@ from jaxvision.errors import InputError
 from ...inference.estimates import (
     QUANTILES,
     Estimate,
-    not_determined,
     quantile_estimate,
     sampled_estimate,
 )
@@ -21,9 +20,9 @@ from ...inference.parameters import Parameter, names
 from ...report.section import Section, Table, failed_section, section_of_part, word_for_file
 from ...rig import Camera
 from ..calibration import NoiseCalibration
-from ..pattern import SIGNIFICANCE_SIGMAS
-from ..regressions import Part, deviation_quantiles, sampling_variance
+from ..pattern import Spread
 from ..section import TITLE as TITLE_OF_ONE
+from ..section import deviation_estimate
 from ..section import section as section_of_one
 from ..settings import Setting
 from . import prediction
@@ -168,8 +167,9 @@ def _estimates(calibration: CameraCalibration) -> tuple[Estimate, ...]:
         full, (name, _, rest) = parameter.name, parameter.name.partition("[")
         group = rest.removesuffix("]")
         if name in ROOTS:
-            under = "the other noise; use more gains"
-            found.append(_root(ROOTS[name], float(best[full]), float(errors[i]), under))
+            why = "{}, hidden under the other noise; use more gains"
+            spread = Spread(float(best[full]), float(errors[i]), ())
+            found.append(deviation_estimate(ROOTS[name], spread, why))
             continue
         what, scale = replace(parameter, name=name, transform="identity"), 1.0
         if name == "quantum_efficiency":
@@ -191,24 +191,6 @@ def _estimates(calibration: CameraCalibration) -> tuple[Estimate, ...]:
     return (*found, *read_noises, *_die_estimates(calibration))
 
 
-def _root(
-    what: Parameter,
-    square: float,
-    error: float,
-    under: str,
-    scale: float = 1.0,
-    parts: tuple[Part, ...] = (),
-) -> Estimate:
-    """Return the deviation of an estimated variance, or an upper bound if it is insignificant."""
-    if square < SIGNIFICANCE_SIGMAS * error:
-        bound = scale * np.sqrt(max(square, 0) + SIGNIFICANCE_SIGMAS * error)
-        return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")
-    value = np.sqrt(square)
-    total = np.sqrt(error**2 + sampling_variance(parts))
-    ends = scale * deviation_quantiles(square, error, parts)
-    return quantile_estimate(what, scale * value, scale * total / (2 * value), ends)
-
-
 def _die_estimates(calibration: CameraCalibration) -> list[Estimate]:
     found, well = [], calibration.full_well
     if well is not None and well.serves:
@@ -216,8 +198,9 @@ def _die_estimates(calibration: CameraCalibration) -> list[Estimate]:
         found.append(quantile_estimate(FULL_WELL, well.value, well.known_to, ends))
     for what, pooled, scale in ((DSNU, calibration.dsnu, 1.0), (PRNU, calibration.prnu, 100.0)):
         if pooled is not None and pooled.serves:
-            under = "temporal noise; take more frames"
-            found.append(_root(what, pooled.value, pooled.known_to, under, scale, pooled.parts))
+            why = "{}, hidden under temporal noise; take more frames"
+            spread = Spread(pooled.value, pooled.known_to, pooled.parts)
+            found.append(deviation_estimate(what, spread, why, scale))
     return found
 
 

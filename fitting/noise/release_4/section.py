@@ -10,12 +10,11 @@ from jaxtyping import Float
 from ...inference.estimates import QUANTILES, Estimate, not_determined, sampled_estimate
 from ...inference.formatting import format_number, format_percent
 from ...report.section import Section, Table
-from ..calibration import BY_NAME, sheet_estimate
-from ..emva1288 import is_floored
+from ..calibration import BY_NAME
 from ..levels import signal_of
 from ..quantities import HEADINGS, QUANTITIES, Quantity
 from ..regressions import sampling_errors
-from ..section import FROM_DARK_NOISE, floor_in_words, why_missing
+from ..section import replace_doubted, standard_estimate, why_missing
 from .defects import outliers
 from .figures import defect_images, pictures_of_images, signal_to_noise
 from .nonuniformity import BORDER, FEWEST_LINES, Split, loss_of_filter
@@ -60,7 +59,7 @@ def section(sheet: Release4) -> Section:
 
 def sections(sheet: Release4) -> list[Section]:
     """Return the data sheet of release 4 as two sections of a report, *Linear* and *General*."""
-    stacks = sheet.stacks
+    stacks, measurement = sheet.stacks, sheet.stacks.measurement
     settings = {"release": "4.0", "seed of the draws": sheet.seed}
     of_images, frames = (), {}
     averages = stacks.averages
@@ -70,14 +69,14 @@ def sections(sheet: Release4) -> list[Section]:
             _outliers(averages),
         )
         frames = {
-            "light of the bright average": float(stacks.measurement.bright.light[averages.level]),
+            "light of the bright average": float(measurement.bright.light[averages.level]),
             "frames of the bright average": averages.lit.frames,
             "frames of the dark average": averages.unlit.frames,
         }
     linear = Section(
         kind=f"{KIND}_linear",
         title=f"{TITLE} Linear",
-        estimates=_replace_doubted(sheet, [*_linear(sheet), *_nonuniformities(sheet)]),
+        estimates=replace_doubted([*_linear(sheet), *_nonuniformities(sheet)], measurement),
         findings=_findings(sheet),
         pictures=pictures_of_images(sheet),
         tables=of_images,
@@ -88,7 +87,7 @@ def sections(sheet: Release4) -> list[Section]:
     general = Section(
         kind=f"{KIND}_general",
         title=f"{TITLE} General",
-        estimates=_replace_doubted(sheet, _general(sheet)),
+        estimates=replace_doubted(_general(sheet), measurement),
         pictures=(signal_to_noise(sheet),),
         tables=(_signal_to_noise(sheet),),
         about="EMVA Standard 1288, release 4.0 General (2021): no linear model, the measured "
@@ -96,18 +95,6 @@ def sections(sheet: Release4) -> list[Section]:
         settings=settings,
     )
     return [linear, general]
-
-
-def _replace_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
-    """Return the figures. If contradictory frames do not determine a figure, the reason replaces
-    its value."""
-    doubts = sheet.stacks.measurement.doubts
-    why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
-    found = []
-    for one in listed:
-        name = one.name.split("_")[0] if one.name.startswith(("dsnu", "prnu")) else one.name
-        found.append(not_determined(one, why[name], method=one.method) if name in why else one)
-    return tuple(found)
 
 
 def _headings() -> dict[str, tuple[str, ...]]:
@@ -121,23 +108,10 @@ def _headings() -> dict[str, tuple[str, ...]]:
 
 
 def _linear(sheet: Release4) -> list[Estimate]:
-    values, errors, listed = sheet.linear.values, sheet.linear.errors, []
-    measurement = sheet.stacks.measurement
-    floored = is_floored(measurement, sheet.within)
-    for quantity in (*QUANTITIES, LINEARITY):
-        name = quantity.name
-        if name in ("dsnu", "prnu", "linearity_error_min", "linearity_error_max"):
-            continue
-        if name not in values:
-            listed.append(not_determined(quantity, why_missing(measurement, name), method=LINEAR))
-        elif floored and name in FROM_DARK_NOISE:
-            reason = floor_in_words(measurement, quantity, float(values[name]))
-            listed.append(not_determined(quantity, reason, method=LINEAR))
-        else:
-            listed.append(
-                sheet_estimate(quantity, float(values[name]), float(errors[name]), LINEAR)
-            )
-    return listed
+    args = sheet.stacks.measurement, sheet.within, sheet.linear, LINEAR
+    absent = ("dsnu", "prnu", "linearity_error_min", "linearity_error_max")
+    quantities = [one for one in (*QUANTITIES, LINEARITY) if one.name not in absent]
+    return [standard_estimate(one, *args) for one in quantities]
 
 
 def _nonuniformities(sheet: Release4) -> list[Estimate]:

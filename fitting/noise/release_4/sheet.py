@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from jaxvision import as_dtype
 
-from ...inference.compiled import compiled_briefly
 from ...inference.precision import double_precision
 from ...report.notebook import ShownInNotebooks
 from ..emva1288 import Evaluation, Ranges, evaluate
@@ -66,9 +65,6 @@ class Release4(ShownInNotebooks):
         return float(self.linear.values["system_gain"])
 
 
-_evaluated = compiled_briefly(evaluate)
-
-
 @double_precision
 def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     """Compute the data sheet of EMVA 1288, release 4.0, of a camera.
@@ -104,7 +100,7 @@ def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
     within, clipped = ranges(measurement, stacks.numbers)
     dark = measurement.dark
     shared = shared_noise(dark)
-    linear = _evaluated(measurement, within, shared=shared, figures=figures)
+    linear = evaluate(measurement, within, shared=shared, figures=figures)
     found = {}
     if stacks.averages is not None:
         unlit, lit = stacks.averages.unlit, stacks.averages.lit
