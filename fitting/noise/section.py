@@ -12,6 +12,7 @@ from jaxvision.errors import InputError
 from ..inference.estimates import Estimate, Named, not_determined, quantile_estimate
 from ..inference.formatting import format_value
 from ..inference.parameters import names
+from ..inference.precision import double_precision
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table, section_of_part
 from ..rig import Camera
@@ -43,6 +44,7 @@ FROM_DARK_NOISE = {
 KIND, TITLE = "noise", "Camera noise by photon transfer"
 
 
+@double_precision
 def section(calibration: NoiseCalibration) -> Section:
     """Return the report section of a calibrated camera."""
     likelihood = calibration.likelihood

@@ -17,6 +17,7 @@ from ...inference.estimates import (
     sampled_estimate,
 )
 from ...inference.parameters import Parameter, names
+from ...inference.precision import double_precision
 from ...report.section import Section, Table, failed_section, section_of_part, word_for_file
 from ...rig import Camera
 from ..calibration import NoiseCalibration
@@ -53,6 +54,7 @@ OWN_HEADINGS = {
 }
 
 
+@double_precision
 def section(calibration: CameraCalibration) -> Section:
     """Return the report section of the joint fit: what settings share, and what each gain has."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)

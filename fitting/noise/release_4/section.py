@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ...inference.estimates import QUANTILES, Estimate, not_determined, sampled_estimate
 from ...inference.formatting import format_number, format_percent
+from ...inference.precision import double_precision
 from ...report.section import Section, Table
 from ..calibration import BY_NAME
 from ..levels import signal_of
@@ -57,6 +58,7 @@ def section(sheet: Release4) -> Section:
     )
 
 
+@double_precision
 def sections(sheet: Release4) -> list[Section]:
     """Return the data sheet of release 4 as two sections of a report, *Linear* and *General*."""
     stacks, measurement = sheet.stacks, sheet.stacks.measurement
