@@ -353,7 +353,7 @@ def _calibrate_sites(
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
-    """Return, for each site, a section over all settings and one for each."""
+    """Return, for each site, a section over all settings and a section for each setting."""
     from .noise.across_settings.section import records_of_sites
     from .report.inputs import add_inputs
     from .report.section import section_of_part

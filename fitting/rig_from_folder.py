@@ -245,7 +245,7 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
     """Return the exposure in seconds that a name states, as in flat_8ms, and a sentence on a
-    doubtful reading. In scene_1-8s the time is 1/8 s. It is 8 s if `counted` states that the first
+    doubtful reading. The name scene_1-8s means 1/8 s, or 8 s if `counted` states that the first
     number counts the images."""
     stem = Path(name).stem
     fraction = _FRACTION.search(stem)

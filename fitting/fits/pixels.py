@@ -44,9 +44,9 @@ def fit_map(
     """Fit a problem at every pixel separately, or once for all pixels of each label.
 
     One compiled program fits `chunk` pixels at a time, so memory is needed only for one chunk and
-    the maps. Estimates, errors and verdict equal those of `fit` for the pixel's data, without the
-    test of neighbouring residuals. Where a pixel cannot be fitted, because data are missing or not
-    finite, the maps are NaN. The findings give the number of such pixels.
+    the maps. Estimates, errors and the tests of the fit equal those of `fit` for the pixel's data,
+    without the test of neighbouring residuals. Where a pixel cannot be fitted, because data are
+    missing or not finite, the maps are NaN. The findings give the number of such pixels.
 
     Args:
         problem: the problem of one pixel, for example with one datum per image. Its data and inputs

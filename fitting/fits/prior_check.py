@@ -124,8 +124,8 @@ def blame_priors(
     problem: Problem, vector: np.ndarray, wide: Widening, before: Misfit, alone: Misfit
 ) -> tuple[str, ...]:
     """Return sentences on the priors that contradict a fit with widened priors (see `loosen`), in
-    order of decreasing difference. The result is empty if no prior does. If the fit with widened
-    priors describes the data, these sentences replace the finding of a misfit.
+    order of decreasing difference. The result is empty if no prior contradicts the fit. If the fit
+    with widened priors describes the data, these sentences replace the finding of a misfit.
     """
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)

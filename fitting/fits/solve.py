@@ -90,8 +90,8 @@ def fit(
 
     For data in chunks (`Problem(..., chunk=...)`) the searches use a sample of the data. Newton's
     method then starts at the best optimum and finds the mode for all data, which it reads once per
-    step. The verdict uses all data. Residuals and bands describe the sample. A bar shows the
-    progress of each reading.
+    step. The tests of the fit use all data. Residuals and bands describe the sample. A bar shows
+    the progress of each reading.
 
     A `Candidate` is kept only if the data support it. The candidate must satisfy Schwarz'
     criterion, and its distance from the value that means absence must be significant. The weakest
@@ -99,10 +99,10 @@ def fit(
     and `Fit.choices` gives the reasons.
 
     Automatic derivatives can be wrong, for example where edges of shadows move. If they differ from
-    finite differences at the optimum, the fit uses finite differences for its verdict and
-    curvature, and a finding names the parameters. If a free position or shape in a scene moves such
-    edges, a warning before the first search states what share of the change the gradient misses at
-    the start.
+    finite differences at the optimum, the fit uses finite differences for its curvature and its
+    test of convergence, and a finding names the parameters. If a free position or shape in a scene
+    moves such edges, a warning before the first search states what share of the change the gradient
+    misses at the start.
 
     A second fit of a problem with equal shapes and the same `predict` needs no compilation
     (`Problem.with_data`). A fit that does not converge raises no error: read `converged` and
@@ -248,7 +248,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _How:
-    """The options of `fit` for the search and the verdict."""
+    """The options of `fit` for the search and the tests of its result."""
 
     starts: int
     start: dict[str, Any] | None

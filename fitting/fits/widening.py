@@ -228,7 +228,7 @@ def residuals_at(
 def residual_sums(
     problem: Problem, vector: Array, advance: Advance, *, seed: int
 ) -> Float[np.ndarray, " sums"]:
-    """Return the sums over residuals that the verdict needs, from data that are read in chunks."""
+    """Return the sums over residuals that test the fit, from data that are read in chunks."""
     rng = np.random.default_rng(seed)
     before, totals = None, np.zeros(2 + 4 * problem.data.ndim)
     for part in chunks(problem, advance=advance):

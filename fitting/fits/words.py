@@ -121,8 +121,9 @@ def _optimum_separation(optimum: Optimum) -> float:
 
 
 def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
-    """Return whether enough searches from different starts ended at the best optimum. Two must end
-    there. Four must if the width of the noise was fitted, because residuals then do not reveal a
+    """Return whether enough searches from different starts ended at the best optimum. Two searches
+    are enough, but four are needed if the width of the noise was fitted, because residuals then do
+    not reveal a
     wrong optimum, or if most searches ended at different optima. The share of searches that end
     alone estimates the chance that one more search finds a new optimum.
 

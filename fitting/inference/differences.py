@@ -3,8 +3,8 @@
 A picture is discontinuous at the edge of a shadow or an outline, and automatic differentiation
 misses the motion of the edge. It also misses jumps at rounding and branches. The test computes the
 residuals half a standard deviation to both sides of an optimum and compares their change with the
-derivative's prediction. If the discrepancy exceeds a tenth of the change and more than curvature
-explains, the optimum, its curvature and the verdict use finite differences.
+derivative's prediction. If the discrepancy exceeds a tenth of the change and curvature does not
+explain it, finite differences are used for the optimum, its curvature and the test of convergence.
 """
 
 from dataclasses import replace

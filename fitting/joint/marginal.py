@@ -127,10 +127,10 @@ def scatter_log_density(
     """Return ln p of the scatter of each cell's pixels about their mean, up to a constant.
 
     `scatter` is the sum of n squared deviations in DN^2, with n - 1 degrees of freedom. `variance`
-    is the variance of one pixel, DN^2. A pixel may have an error P_jc g with g ~ N(0, 1) the same
-    in all images (`pixel_errors` P in DN). The scatter of a cell in all images then has a Wishart
-    distribution of covariance diag(variance) + P P', which needs `products`, the sums of products
-    of deviations in two images, DN^2.
+    is the variance of one pixel, DN^2. A pixel may have an error P_jc g, where g ~ N(0, 1) is the
+    same in all images (`pixel_errors` P in DN). The scatter of a cell in all images then has a
+    Wishart distribution of covariance diag(variance) + P P', which needs `products`, the sums of
+    products of deviations in two images, DN^2.
     """
     freedom = jnp.maximum(count - 1, 0)
     total = -jnp.sum(freedom * jnp.log(variance) + scatter / variance) / 2

@@ -257,7 +257,8 @@ def _run_as_one(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
 
 
 def _count_unstacked(outside: list[Any], inside: list[Any]) -> int:
-    """Count a scan's constants and carry, which have no further axis outside its body."""
+    """Count the constants and carries of a scan: inputs that have as many axes outside as in its
+    body."""
     return sum(x.aval.ndim == y.aval.ndim for x, y in zip(outside, inside, strict=True))
 
 

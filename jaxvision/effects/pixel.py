@@ -441,9 +441,10 @@ class Pixel:
         electrons.
 
         The result is the largest variance, in electrons^2, that a bound may assume for other noise,
-        and a number of electrons to add to the distance. If charges rarely reach the full well, the
-        well changes each charge by at most the rms excess. Otherwise the well reduces the distance,
-        and a bound may only assume the shot noise, of a variance of at least a quarter of the well.
+        and the number of electrons by which the well increases the distance. If charges rarely
+        reach the full well, the well changes each charge by at most the rms excess. Otherwise the
+        well reduces the distance, and a bound may only assume the shot noise, of a variance of at
+        least a quarter of the well.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms

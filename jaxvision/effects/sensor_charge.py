@@ -47,7 +47,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
 
     With c = 2 m (D_rows + D_columns), as in `Pixel.repulsion`, the charge q, in units of its mean
     m, grows at most as q' = 1 + c q during the exposure. The mean therefore changes by m ((e^c - 1)
-    / c - 1). Covariances between pixels grow at the rate c from either of the two pixels. So the
+    / c - 1). A covariance between two pixels grows at the rate c for each of the two pixels. So the
     variance of the count grows by m (e^c (e^(2 c) - 1) / (2 c) - 1), and the variance s^2 of a
     fixed pattern grows by s^2 (e^(2 c) - 1).
     """

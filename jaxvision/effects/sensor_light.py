@@ -37,8 +37,8 @@ def infrared_cut(pixel: Pixel) -> Bound:
 
 
 def quantum_efficiency(pixel: Pixel) -> Bound:
-    """Bound the effect of the quantum efficiency by the photons that free no electron, (1 -
-    efficiency) of each band and tap. An efficiency may exceed 1."""
+    """Bound the effect of the quantum efficiency by the photons that free no electron, the share |1
+    - efficiency| in each band and tap (an efficiency may exceed 1)."""
     ends = (np.asarray(end["quantum_efficiency"], float) for end in pixel.sensor)
     least = 1 - np.maximum(*(np.abs(1 - efficiency) for efficiency in ends))
     return _attenuator(pixel, "quantum_efficiency", least, "photons that free no electron")

@@ -235,8 +235,8 @@ def _negative_rms(pixel: Pixel, offset: float) -> float:
         E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
 
     where a is the largest gain of a pixel. As M grows, the bound rises up to u = a^2 + sqrt(a^4 +
-    (a o - v)^2) and then falls. If M = 0 has a larger u, or the brightest M a smaller one, the
-    bound is largest there.
+    (a o - v)^2) and then falls. If this u lies outside the range of u between M = 0 and the
+    brightest M, the bound is largest at the nearer end of this range.
     """
     spare = (1 + _TAIL * pixel.high("conversion_prnu")) * pixel.largest_growth
     per_electron = pixel.gain * (1 + _TAIL * pixel.high("column_prnu"))

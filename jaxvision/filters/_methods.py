@@ -282,7 +282,7 @@ def _sum(k: Planes) -> Planes:
 
 
 def _widest() -> np.dtype:
-    """Return the widest floating type that transforms support on this machine."""
+    """Return the widest floating type that Fourier transforms support on this machine."""
     double = targets_cpu() or jax.default_backend() == "gpu"
     return np.dtype(np.float64 if double else np.float32)
 

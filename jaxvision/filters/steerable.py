@@ -1,9 +1,10 @@
 """Filters of any orientation as sums of a few basis filters (Freeman and Adelson, "The Design and
 Use of Steerable Filters", PAMI 13, 1991).
 
-Angles are in rad, 0 to the right and pi/2 UP, with shape () or (h, w). `width`, in pixels, is the
-unit of length in the paper's exp(-x^2 - y^2), a Gaussian of sigma = width / sqrt(2). First-order
-responses are in the picture's unit per pixel, all other responses in the picture's unit.
+Angles are in rad, 0 to the right and pi/2 upward, with shape () or (h, w). `width`, in pixels, is
+the unit of length in the paper's exp(-x^2 - y^2), a Gaussian of sigma = width / sqrt(2).
+First-order responses are in the picture's unit per pixel, all other responses in the picture's
+unit.
 """
 
 from collections.abc import Callable

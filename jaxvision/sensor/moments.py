@@ -7,8 +7,8 @@
 K is the gain, eta mu_p the number of photoelectrons, mu_d the number of dark electrons, and
 sigma_read the read noise. Every further noise source of the sensor adds a term. Differences between
 the pixels of a die (dead, hot and trapping pixels, columns) enter mean and temporal variance as
-averages over dies. With the brighter-fatter effect, the variance of a pixel is that in uniform
-light of its mean. Blooming has no closed form and is neglected.
+averages over dies. With the brighter-fatter effect, a pixel has the variance that it would have in
+uniform light with the same mean. Blooming has no closed form and is neglected.
 """
 
 from dataclasses import replace

@@ -10,11 +10,11 @@ where `slope` is the gradient of the prediction in standard deviations, `deviati
 deviation of a sample and I the Fisher information. Errors of one light (`intensity_sd`,
 `exposure_sd`, `stray_sd`) shift only the samples of its image. The residuals contain these errors,
 too. With few lights, the covariance from the stated errors therefore replaces the covariance over
-lights, unless the residuals are larger than the stated errors explain. An error that all images
-share (`black_sd`, `gamma_sd`) changes the images as a different surface would. The residuals do not
-reveal such errors, so the covariance that these errors cause is added. The gain only weights the
-samples, so `gain_sd` changes no parameter to first order. Errors that change the distribution of
-the samples by at most a tenth of their noise are dropped (`inference.left_out`).
+lights, if the stated errors can explain the residuals. An error that all images share (`black_sd`,
+`gamma_sd`) changes the images as a different surface would. The residuals do not reveal such
+errors, so the covariance that these errors cause is added. The gain only weights the samples, so
+`gain_sd` changes no parameter to first order. Errors that change the distribution of the samples by
+at most a tenth of their noise are dropped (`inference.left_out`).
 
 A rig's `direction_sd` is a normal prior for the rotations e of the lights, two for each light. In
 units of standard deviations, the residuals r of the images change by S e to first order. The most
@@ -196,9 +196,9 @@ class TurnedLights:
 def fit_rotations(
     nominal: Optimum, view: View, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, TurnedLights]:
-    """Fit parameters and light rotations in alternation until no light moves. If the rotations are
-    larger than the stated uncertainty and chance explain, the uncertainty is estimated from the
-    images.
+    """Fit parameters and light rotations in alternation until no light moves. If the stated
+    uncertainty and chance cannot explain rotations of this size, the uncertainty is estimated from
+    the images.
 
     Return `nominal`, the optimum at the rig's directions, if the fit does not use the rotations.
     """

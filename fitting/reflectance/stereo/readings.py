@@ -171,10 +171,10 @@ def noise_among_wrong(
 ) -> tuple[float, tuple[str, ...]]:
     """Return the standard deviation of a reading if most pixels have wrong readings, else infinity,
     and a sentence if readings scatter so much that they hardly depend on the normal.
-    Wrong readings enlarge the residuals of most pixels, and neighbouring pixels do not share them.
-    The noise is then estimated from the residuals of the readings nearest to an exact fit of three
-    readings, in the pixels where these residuals are small. The residuals are divided by those of
-    Gaussian noise of unit variance.
+    Wrong readings are assumed if most pixels have large residuals that differ between neighbouring
+    pixels. The noise is then estimated from the residuals of the readings nearest to an exact fit
+    of three readings, in the pixels where these residuals are small. The residuals are divided by
+    those of Gaussian noise of unit variance.
     """
     used, largest = counts.sum(axis=0), np.where(counts, readings, 0).max(axis=0)
     known = used > AGREE
