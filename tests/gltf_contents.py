@@ -1,4 +1,4 @@
-"""A small scene of glTF, to read, to change and to damage."""
+"""A small glTF scene to read, change and damage."""
 
 import base64
 
@@ -10,7 +10,8 @@ FACES = np.array([0, 1, 2, 0, 2, 3], "<u2")
 
 
 def content(material=None, light=None, camera=None, **more):
-    """A square in the plane z = 0, a camera 5 m above, which looks down, and a lamp 2 m above."""
+    """Return a square in the plane z = 0, a camera 5 m above that looks down, and a lamp 2 m
+    above."""
     blob = base64.b64encode(CORNERS.tobytes() + FACES.tobytes()).decode()
     made = {
         "asset": {"version": "2.0"},

@@ -1,13 +1,13 @@
-"""Commands ended at random moments, by SIGKILL, which no program can answer, or by Ctrl-C, and run
-again: what lies in their folder is whole at every moment, and ends like that of a run that nobody
-ended. After Ctrl-C they end within 2 s, with status 130 and one line.
+"""End commands at random moments, by SIGKILL or Ctrl-C, and run them again.
 
     python tests/killed.py [--moments 200] [--first 0] [--only render|chain|report] [--interrupt]
 
-Each moment is a seed; counts are printed as they grow, and moments after all was written are not
-among the `--moments`. Of interrupted runs those of odd moments compile all their programs anew, and
-one in four is run again.
-"""
+At every moment the files in the folder must be complete, and a repeated run must end like an
+uninterrupted one. After Ctrl-C the command must end within 2 s, with status 130 and one line.
+
+Each moment is a seed. Counts are printed as they grow. Moments after everything was written do not
+count among the `--moments`. Interrupted runs of odd moments compile all programs again, and one in
+four is repeated."""
 
 import argparse
 import io
@@ -42,7 +42,7 @@ PASSING = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d UTC|The fit took \S+ s")
 
 
 def write_rig_of_two_taps(folder: Path) -> None:
-    """Flats of even and odd columns with gains of .25 and .32 DN/e-, which the rig does not
+    """Write flats of even and odd columns with gains of .25 and .32 DN/e-, which the rig does not
     state."""
     folder.mkdir()
     rng, gain = np.random.default_rng(0), np.where(np.arange(64) % 2, 0.32, 0.25)
@@ -58,13 +58,13 @@ def write_rig_of_two_taps(folder: Path) -> None:
 
 
 class Job:
-    """A command and what it writes if nobody kills it.
+    """A command and the files of an uninterrupted run.
 
     Attributes:
-        words: of the command.
-        place: the folder where it runs, with its input.
+        words: arguments of the command.
+        place: folder where it runs, with its input.
         whole: files by name.
-        seconds: how long it takes once its programs are compiled.
+        seconds: duration once its programs are compiled.
     """
 
     def __init__(self, name: str, place: Path) -> None:
@@ -73,7 +73,7 @@ class Job:
         (place / "levels.csv").write_text(TABLE)
         if "rig" in self.words:
             write_rig_of_two_taps(place / "rig")
-        for _ in range(2):  # the first compiles
+        for _ in range(2):  # the first run compiles
             self.start_over()
             begun = time.monotonic()
             assert self.run() == 0, name
@@ -94,7 +94,7 @@ class Job:
         )
 
     def run(self, *, kill_after: float | None = None) -> int:
-        """Exit status; that of SIGKILL is negative."""
+        """Return the exit status, which is negative for SIGKILL."""
         process = self.begun()
         try:
             process.communicate(timeout=kill_after)
@@ -104,7 +104,8 @@ class Job:
         return process.returncode
 
     def interrupt(self, after: float, *, cache: str) -> float | None:
-        """Seconds that the command took to end, None if it was done before, or all but done."""
+        """Return the seconds that the command took to end, or None if it had ended, or almost
+        ended, before."""
         process = self.begun(cache=cache)
         try:
             process.communicate(timeout=after)
@@ -126,7 +127,7 @@ class Job:
         return None
 
     def written(self) -> dict[str, bytes]:
-        """The files that lie under their final names."""
+        """Return the files under their final names."""
         return {
             file.name: PASSING.sub(b"", file.read_bytes())
             for file in sorted((self.place / "out").rglob("*"))
@@ -134,15 +135,15 @@ class Job:
         }
 
     def is_torn(self, name: str, content: bytes) -> bool:
-        """A file differs from that of a whole run, or is a block of a chain, which a whole run
-        removes, that cannot be read."""
+        """Return whether a file differs from that of an uninterrupted run. A block of a chain,
+        which such a run removes, must be readable."""
         if name in self.whole:
             return content != self.whole[name]
         with np.load(io.BytesIO(content)) as block:
-            return not [block[key] for key in block.files]  # the archive checks its sums
+            return not [block[key] for key in block.files]  # reading checks the archive's checksums
 
     def interrupted_at(self, moment: int) -> str:
-        """As `killed_at`, by Ctrl-C."""
+        """Do as `killed_at`, by Ctrl-C."""
         rng = random.Random(f"interrupt {moment}")
         anew = moment % 2 == 1
         self.start_over()
@@ -157,13 +158,13 @@ class Job:
         return self.compared(moment, again=moment % 4 == 0)
 
     def killed_at(self, moment: int) -> str:
-        """What a run that is killed at a moment leaves behind: "nothing", "some files" or "all"."""
+        """Kill a run at a moment, and return whether it wrote "nothing", "some files" or "all"."""
         self.start_over()
         self.run(kill_after=random.Random(moment).uniform(0, self.seconds))
         return self.compared(moment, again=True)
 
     def compared(self, moment: int, *, again: bool) -> str:
-        """What lies there, and if it is run `again` ends like a whole run."""
+        """Check the files, run the command `again` if asked, and return how much was written."""
         left = self.written()
         torn = [name for name, content in left.items() if self.is_torn(name, content)]
         assert not torn, (moment, torn)

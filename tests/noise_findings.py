@@ -5,5 +5,5 @@ from fitting.report.sentences import evaluate_findings
 
 
 def told(calibration, *keys):
-    """The sentences of these keys."""
+    """Return the sentences of these keys."""
     return evaluate_findings([one for one in FINDINGS if one.key in keys], calibration)

@@ -1,4 +1,4 @@
-"""Blocks of code on a page, and what the comments beside them promise."""
+"""Run blocks of code on a page, and compare their output with the comments beside them."""
 
 import re
 import subprocess
@@ -6,12 +6,12 @@ import sys
 
 
 def blocks(page, language):
-    """The fenced blocks of a language, in order."""
+    """Return the fenced blocks of a language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
 
 
 def promises(block):
-    """[(number, tolerance)] that the comments beside a block's `print` promise, in order."""
+    """Return [(number, tolerance)] stated in the comments beside a block's `print`, in order."""
     found = []
     for line in re.findall(r"^.*\bprint\(.*$", block, flags=re.MULTILINE):
         comment = re.search(
@@ -39,8 +39,8 @@ for i, block in enumerate(BLOCKS):
 
 
 def printed(python, folder, *, apart):
-    """What blocks print, each: run in one process, each on its own or going on from the one
-    before."""
+    """Return what each block prints, run in one process, separately or each continuing the previous
+    one."""
     program = PROGRAM.replace("BLOCKS", repr(python)).replace("APART", repr(apart))
     ended = subprocess.run(
         [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True
@@ -50,7 +50,7 @@ def printed(python, folder, *, apart):
 
 
 def kept_promises(python, said):
-    """How many numbers blocks promise; asserts that what they print keeps them."""
+    """Check that printed numbers agree with the comments, and return how many there are."""
     kept = 0
     for block, text in zip(python, said, strict=True):
         for promise, line in zip(promises(block), text.splitlines(), strict=False):
@@ -61,11 +61,11 @@ def kept_promises(python, said):
 
 
 def run(python, folder, *, apart):
-    """Runs blocks and asserts what they promise; returns how many numbers that were."""
+    """Run blocks, check their printed numbers, and return how many there are."""
     return kept_promises(python, printed(python, folder, apart=apart))
 
 
 def shown(page):
-    """What a page shows below each block of Python, where it shows what that prints."""
+    """Return the output that a page shows below each block of Python."""
     below = r"^```python\n.*?^```\n(?:\n```text\n(.*?)^```)?"
     return re.findall(below, page, flags=re.MULTILINE | re.DOTALL)

@@ -1,4 +1,4 @@
-"""Photographs with heads that say how they were taken."""
+"""Photographs with headers that state how they were taken."""
 
 from fractions import Fraction
 
@@ -8,7 +8,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 
 def photograph(path, *, seconds, iso=100, f_number=4.0, taken="2026:05:04 12:30:00", code=90):
-    """A JPEG whose EXIF Pillow writes."""
+    """Write a JPEG with EXIF by Pillow."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Maker", "Maker Model 3"
     time = IFDRational(Fraction(seconds).limit_denominator(1000))

@@ -1,5 +1,5 @@
-"""The two precisions of a hard case: float32, whose digits run out first, in the default run;
-float64 with the long sweeps, and in CI. And what all hard cases ask."""
+"""The two precisions of a hard case, and checks shared by all hard cases. The default run uses
+float32, the harder precision. Slow tests and CI use float64."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The public names of both packages, discovered, not listed."""
+"""The public names of both packages, which are discovered and not listed."""
 
 import dataclasses
 import importlib
@@ -9,7 +9,8 @@ from fnmatch import fnmatchcase
 import jaxvision
 from jaxvision import accuracy, effects
 
-# The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
+# Functions at the boundary (files, NumPy) and for timing, which are neither traced nor
+# differentiated.
 EAGER = {
     "jaxvision.core.interrupts",
     "jaxvision.core.progress",
@@ -95,13 +96,14 @@ EAGER = {
     "jaxvision.lights.near_rectangles",
     "jaxvision.transport.radiosity._trapped",
 }
-EFFECTS = {  # decided and measured before anything is traced
+EFFECTS = {  # decided and measured before tracing
     name
     for room in (effects, accuracy)
     for _, name, _ in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")
 }
-# Static answers to static questions: no array goes in. And parts of functions that are swept:
-# `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those of `transport`.
+# Functions without array arguments, whose results are static, and parts of functions that are
+# tested elsewhere: `intersect`, `occluded`, `visibility`, `outgoing_radiance`, `render` and those
+# of `transport`.
 STATIC = {
     "jaxvision.geometry.nearest.blocked",
     "jaxvision.geometry.nearest.meets",
@@ -144,7 +146,7 @@ STATIC = {
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
 }
-# Constant to gradients, and a drawn direction, whose weight is.
+# Functions that are constant for gradients, and a drawn direction, whose weight is tested.
 STATIC |= {"jaxvision.geometry._size.largest_coordinate", "jaxvision.geometry._bounds.ball_around"}
 STATIC |= {"jaxvision.brdf._specular.draw_way"}
 STATIC |= {f"jaxvision.brdf._registry.{name}" for name in ("is_body", "is_delta")}
@@ -160,7 +162,7 @@ STATIC |= {"jaxvision.rendering.band_count.band_count"}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
 STATIC |= {"jaxvision.core._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
 STATIC |= {"jaxvision.rendering.pixel_loop.check_lens", "jaxvision.filters.convolution.summed"}
-STATIC |= {  # which rule each light has
+STATIC |= {  # the rule of each light
     f"jaxvision.lights._samples.{name}"
     for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")
 }
@@ -175,7 +177,7 @@ STATIC |= {
 
 
 def modules(package):
-    """The public modules of a package, command lines apart."""
+    """Return the public modules of a package, except command lines."""
     names = [
         name
         for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
@@ -185,8 +187,8 @@ def modules(package):
 
 
 def defined(package):
-    """(name, value) of what public modules define, and of what packages export from private ones,
-    each named after the module that defines it."""
+    """Yield (name, value) for objects that public modules define, and for those that packages
+    export from private ones, each named after the module that defines it."""
     for module in modules(package):
         for name, value in vars(module).items():
             if not name.startswith("_") and home(value) == module.__name__:
@@ -199,18 +201,18 @@ def defined(package):
 
 
 def home(value):
-    """The module that defines a function or a class; None for anything else."""
+    """Return the module that defines a function or a class, and None for other objects."""
     inner = inspect.unwrap(value) if callable(value) else value
     return inner.__module__ if inspect.isfunction(inner) or inspect.isclass(inner) else None
 
 
 def functions(package):
-    """Every public function where it is defined."""
+    """Return every public function where it is defined."""
     return {name: value for name, value in defined(package) if not inspect.isclass(value)}
 
 
 def records(package):
-    """Every public class where it is defined."""
+    """Return every public class where it is defined."""
     return {name: value for name, value in defined(package) if inspect.isclass(value)}
 
 
@@ -219,7 +221,7 @@ def words(text):
 
 
 def arguments_and_fields(package):
-    """The dotted names, below a package, of public arguments and fields."""
+    """Return the dotted names, below a package, of public arguments and fields."""
     found = []
     for name, function in functions(package).items():
         found += [f"{name}.{argument}" for argument in inspect.signature(function).parameters]
@@ -230,17 +232,17 @@ def arguments_and_fields(package):
 
 
 def unknown(names, patterns):
-    """The names that no pattern fits."""
+    """Return the names that match no pattern."""
     return [name for name in names if not any(fnmatchcase(name, one) for one in patterns)]
 
 
 def ghosts(patterns, names):
-    """The patterns that fit no name."""
+    """Return the patterns that match no name."""
     return [one for one in patterns if not any(fnmatchcase(name, one) for name in names)]
 
 
 def traced():
-    """Every public function of numbers by its name below `jaxvision`."""
+    """Return every public function of numbers by its name below `jaxvision`."""
     return {
         name.removeprefix("jaxvision."): function
         for name, function in functions(jaxvision).items()
@@ -249,7 +251,7 @@ def traced():
 
 
 def doors():
-    """The functions of `traced` that convert and check what users pass."""
+    """Return the functions of `traced` that convert and check users' arguments."""
     listed = {
         id(getattr(module, name))
         for module in (jaxvision, *modules(jaxvision))
@@ -262,7 +264,7 @@ def doors():
     }
 
 
-# Compositions of functions that are swept themselves, seconds to compile four times over.
+# Compositions of tested functions, which would take seconds to compile four times.
 LONG = {
     "geometry._mesh.intersect_mesh",
     "lights._samples.incident_sample",

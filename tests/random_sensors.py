@@ -1,4 +1,4 @@
-"""Random sensors and the light on them: records of the library, and numbers for the oracle."""
+"""Random sensors and their light, as records of the library and as numbers for the oracle."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ SHAPE = (16, 12)
 
 
 def draw(seed, *, wells=True, further=False):
-    """(sensor, numbers of the oracle, light in photons per pixel (h, w), rng)."""
+    """Return (sensor, numbers for the oracle, light in photons per pixel (h, w), rng)."""
     rng = np.random.default_rng(seed)
 
     def log(low, high):
@@ -65,7 +65,7 @@ def draw(seed, *, wells=True, further=False):
 
 
 def _further(rng, light, fields, f):
-    """Fields beside those of `draw`; enters the oracle's numbers."""
+    """Return fields in addition to those of `draw`, and add them to the oracle's numbers."""
 
     def log(low, high):
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -109,7 +109,7 @@ def _further(rng, light, fields, f):
     return found
 
 
-# What a field of `Sensor` is called among the oracle's numbers.
+# Names of the fields of `Sensor` among the oracle's numbers.
 KEYS = {
     "dark_current": "dark",
     "hot_pixels": "hot",
@@ -120,7 +120,7 @@ KEYS = {
 
 
 def without(f, gone):
-    """The oracle's numbers without the effects that are gone."""
+    """Return the oracle's numbers without the dropped effects."""
     left = dict(f)
     for name in gone:
         field = name.removeprefix("sensor.")

@@ -4,7 +4,7 @@ import struct
 
 
 def dng(codes, *, exif_apart=True, orientation=1, black=(64,), more=()):
-    """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic."""
+    """Return a minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic."""
     height, width = codes.shape
     extra, base = bytearray(), 4096
 

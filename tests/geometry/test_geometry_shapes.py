@@ -1,5 +1,5 @@
-"""Every shape against a point that is known to lie on it, meshes against Embree and against holes,
-and what rounding does to rays that start on a surface."""
+"""Tests every shape against points known to be on it, meshes against Embree and for holes, and
+rounding of rays that start on a surface."""
 
 import re
 import sys
@@ -68,7 +68,7 @@ def disc_points(n):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("make", [quad_points, disc_points])
-def test_a_ray_to_a_known_point_of_a_flat_shape_meets_it_there(make):
+def test_a_ray_to_a_known_point_of_a_flat_shape_hits_it_there(make):
     shape, points, normal = make(200)
     origins = RNG.uniform(-1, 1, size=(200, 3))
     encounter, hit = meet(rays(origins, points - origins), [shape])
@@ -97,7 +97,7 @@ def test_a_ray_past_the_rim_of_a_flat_shape_misses_it(make):
 
 
 def box_distance_by_faces(origin, direction, half):
-    """The nearest crossing with any of six rectangles, one at a time."""
+    """Return the nearest intersection with any of six rectangles, one at a time."""
     best, normal = np.inf, np.zeros(3)
     for axis in range(3):
         for side in (-1, 1):
@@ -134,8 +134,8 @@ def test_box_against_its_six_faces(rotation):
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 @pytest.mark.parametrize("searched", [True, False])
 def test_no_ray_leaves_a_closed_mesh(scale, searched, monkeypatch):
-    """From inside a ball of triangles every ray meets one, in float32, rays at its vertices and
-    edges among them; with Embree and without."""
+    """From inside a ball of triangles, every ray hits one in float32, including rays at its
+    vertices and edges, with and without Embree."""
     monkeypatch.setattr(_mesh, "_TRIED", 100 if searched else 10**6)
     count = 100_000 if searched else 20_000
     corners = np.asarray(BALL.vertices)
@@ -182,8 +182,9 @@ def test_without_embree_meshes_work_and_say_so_once(monkeypatch):
 
 
 @pytest.mark.slow
-def test_gradients_reach_the_vertices_of_the_triangle_that_was_met():
-    """Moving a whole ball along the ray moves the hit as far; Embree has no part in it."""
+def test_gradients_reach_the_vertices_of_the_hit_triangle():
+    """Moving a whole ball along the ray moves the hit by as much. Embree does not affect the
+    gradient."""
     ray = Ray(jnp.asarray([0.05, 0.02, 3]), jnp.asarray([0.0, 0, -1]))
     mesh = mesh_of(BALL)
 
@@ -202,7 +203,8 @@ def test_gradients_reach_the_vertices_of_the_triangle_that_was_met():
 
 
 def test_normals_and_uv_are_interpolated():
-    """At the weights of a known point; a plane's normal stays beside them the true one."""
+    """They are interpolated with the weights of a known point. The true normal is that of the
+    plane."""
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     normals, uv = unit(RNG.normal(size=(3, 3)) + np.array([0, 0, 3])), RNG.uniform(size=(3, 2))
     mesh = TriangleMesh(corners, [[0, 1, 2]], normals=normals, uv=uv)
@@ -220,7 +222,7 @@ def test_normals_and_uv_are_interpolated():
 
 
 def surface_points(count, dtype, scale):
-    """(shapes, hits, which of them) of what a camera beside each of several shapes sees."""
+    """Return (shapes, hits, shape of each hit) seen by cameras next to several shapes."""
     shapes = [
         Sphere(np.multiply(scale, [0.3, 0.1, 3]), scale * 1.0),
         Plane([0, -scale, 0], [0, 1, 0]),
@@ -240,9 +242,9 @@ def surface_points(count, dtype, scale):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
-def test_no_acne(scale):
-    """What a camera sees sees the camera: no shadow ray stops at the shape it leaves, in float32,
-    at any slant."""
+def test_no_self_shadowing(scale):
+    """A visible point sees the camera: in float32, at any angle, no shadow ray hits the shape that
+    it starts from."""
     shapes, hit, which = surface_points(20_000, jnp.float32, scale)
     toward = -as_array(hit.point)
     distance = jnp.linalg.norm(toward, axis=1)
@@ -262,9 +264,9 @@ def test_no_acne(scale):
 
 
 @pytest.mark.slow
-def test_occluded_is_a_hit_before_the_end():
-    """Free points and random ends: blocked exactly where the nearest hit of the same ray comes
-    sooner, for every shape; both ends are open."""
+def test_occlusion_is_a_hit_before_the_end():
+    """For random points and ends, a segment is blocked exactly if the nearest hit of its ray is
+    before its end, for every shape. Both ends are excluded."""
     shapes = [
         Sphere([0, 0, 3], 1),
         Quad([-2, -1, 2], [1, 0, 0.5], [0, 1, 0]),
@@ -283,8 +285,8 @@ def test_occluded_is_a_hit_before_the_end():
 
 
 @pytest.mark.slow
-def test_many_shapes_are_found_as_few_are():
-    """Forty spheres, a loop over chunks, against the nearest of forty single ones."""
+def test_many_shapes_are_found_like_few():
+    """Forty spheres, searched in chunks, give the nearest hit of forty single ones."""
     spheres = [
         Sphere(c, r)
         for c, r in zip(RNG.normal(size=(40, 3)) * 3, RNG.uniform(0.2, 0.8, 40), strict=True)
@@ -301,7 +303,7 @@ def test_many_shapes_are_found_as_few_are():
     assert len(np.unique(nearest)) > 15
 
 
-# ---------------------------------------------------------------- what is no geometry
+# ---------------------------------------------------------------- invalid geometry
 
 
 @pytest.mark.parametrize(
@@ -309,7 +311,7 @@ def test_many_shapes_are_found_as_few_are():
     [
         (Sphere([0, 0, np.nan], 1), "centre holds a number that is not finite"),
         (Sphere([0, 0, 0], 0), "radius must be positive, got 0 m"),
-        (  # as a step of a fit may leave it
+        (  # as after a failed step of a fit
             jax.tree.map(jnp.zeros_like, Plane([0, 0, 0], [0, 0, 1])),
             "normal must have a direction",
         ),
@@ -331,17 +333,17 @@ def test_problems_are_named_in_one_sentence(shape, words):
     assert sentence.endswith(".")
 
 
-def test_good_shapes_have_no_problems():
+def test_valid_shapes_have_no_problems():
     for shape in (Sphere([0, 0, 0], 1), Box([0, 0, 0], [1, 1, 1], rotation=TURN), mesh_of(BALL)):
         assert problems(shape) == []
 
 
-def test_shapes_are_checked_where_they_are_made():
+def test_shapes_are_checked_when_they_are_made():
     with pytest.raises(ValueError, match=r"TriangleMesh\.vertices must have shape"):
         TriangleMesh([[0, 0], [1, 1]], [[0, 1, 1]])
     with pytest.raises(ValueError, match="whole numbers"):
         TriangleMesh([[0, 0, 0.0]], [[0.5, 1, 2]])
-    for last in (3, -1):  # counted from 1, or from the end, as OBJ files do
+    for last in (3, -1):  # counted from 1, or from the end, as in OBJ files
         with pytest.raises(ValueError, match=rf"its 3 vertices, from 0 to 2, got {last}\."):
             TriangleMesh(np.eye(3), [[0, 1, last]])
     with pytest.raises(ValueError, match="at least one triangle"):
@@ -350,7 +352,7 @@ def test_shapes_are_checked_where_they_are_made():
         TriangleMesh(np.eye(3), [[0, 1, 2]], normals=np.zeros((2, 3)))
 
 
-def test_the_miss_of_nothing_found_is_a_miss_for_meshes_too():
+def test_a_miss_has_no_triangle_of_a_mesh():
     ray = Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1]))
     nothing = Encounter(jnp.asarray(-1), jnp.asarray(-1))
     hit = hit_shape(ray, [mesh_of(CUBE)], nothing)
@@ -359,8 +361,8 @@ def test_the_miss_of_nothing_found_is_a_miss_for_meshes_too():
 
 
 @pytest.mark.parametrize("size", [1e-15, 1e-12, 1e15, 5e17])
-def test_shapes_of_any_size_are_met_where_those_of_a_metre_are(size):
-    """In float32 the products of lengths leave the range long before the lengths do."""
+def test_shapes_of_any_size_are_hit_like_those_of_a_metre(size):
+    """Products of lengths overflow or underflow float32 long before the lengths do."""
     way = unit(np.array([-0.1, 0.1, 2.0]))
 
     def met(make, scale):

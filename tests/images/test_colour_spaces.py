@@ -1,5 +1,5 @@
-"""Conversions against colour-science, the standard library's, published pairs, and their own
-inverses; finite at black, white and greys."""
+"""Tests colour conversions against colour-science, Python's standard library, published pairs and
+their own inverses, with finite values at black, white and greys."""
 
 import colorsys
 import functools
@@ -40,7 +40,7 @@ def compiled(function, **options):
 
 
 def run(function, *arrays, **options):
-    """One compiled call on float64 arrays."""
+    """Return the result of one compiled call on float64 arrays."""
     return np.asarray(compiled(function, **options)(*map(jnp.asarray, arrays)))
 
 
@@ -63,7 +63,7 @@ def test_working_spaces_as_colour_science_derives_them(name):
     same(run(cs.luminance, RGB, space=name), RGB @ space.matrix_RGB_to_XYZ[1])
 
 
-def test_what_is_at_hand_without_colour_science_is_the_same():
+def test_shipped_data_equal_colour_science():
     at_hand = colour_data._PRIMARIES | colour_data._WHITES | colour_data._CONES | colour_data._LUMA
     assert len(at_hand) == 21
     for name in colour_data._PRIMARIES:
@@ -81,7 +81,7 @@ def test_what_is_at_hand_without_colour_science_is_the_same():
 
 
 def test_srgb_matrix_as_printed():
-    """IEC 61966-2-1 prints four decimals, of a white rounded in its own way."""
+    """IEC 61966-2-1 prints four decimals, for a white that it rounds differently."""
     printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     np.testing.assert_allclose(colour_data.rgb_to_xyz_matrix("sRGB"), printed, atol=1e-4)
 
@@ -124,7 +124,7 @@ def test_chromaticity_as_colour_science():
 
 
 def test_lab_and_luv_as_colour_science():
-    """The white there is derived from its chromaticity, as ours."""
+    """There, as here, the white is derived from its chromaticity."""
     same(run(cs.xyz_to_lab, XYZ, WHITE), colour.XYZ_to_Lab(XYZ, XY))
     same(run(cs.xyz_to_luv, XYZ, WHITE), colour.XYZ_to_Luv(XYZ, XY))
     lab, luv = colour.XYZ_to_Lab(XYZ, XY), colour.XYZ_to_Luv(XYZ, XY)
@@ -171,14 +171,15 @@ def test_delta_e_2000_as_published():
 
 
 def test_delta_e_2000_of_exactly_opposite_hues_averages_them():
-    """Of any hue, as the published formula has it for a difference of 180 degrees."""
+    """The published formula does so for any hues that differ by exactly 180 degrees."""
     first = np.column_stack([np.full(200, 50.0), RNG.uniform(-60, 60, (200, 2))])
-    second = first * [1, -0.5, -0.5]  # halves are exact
+    second = first * [1, -0.5, -0.5]  # the factors are exact
     same(run(cs.delta_e_2000, first, second), [opposite_by_degrees(*one) for one in first])
 
 
 def opposite_by_degrees(lightness, a, b):
-    """CIEDE2000 of (L, a, b) and (L, -a / 2, -b / 2), L = 50, from the paper's equations."""
+    """Return CIEDE2000 of (L, a, b) and (L, -a / 2, -b / 2) for L = 50, by the paper's
+    equations."""
     chroma = 0.75 * np.hypot(a, b)
     g = 0.5 * (1 - np.sqrt(chroma**7 / (chroma**7 + 25.0**7)))
     whole = np.hypot((1 + g) * a, b)
@@ -213,7 +214,7 @@ def test_hsv_and_hsl_as_the_standard_library():
     same(run(cs.hsv_to_rgb, np.array(hsv)), RGB)
     hls = np.array([colorsys.rgb_to_hls(*rgb) for rgb in RGB])
     hsl = hls[:, [0, 2, 1]]
-    same(run(cs.rgb_to_hsl, RGB), hsl, digits=9)  # near black and white its saturation is 0 / 0
+    same(run(cs.rgb_to_hsl, RGB), hsl, digits=9)  # near black and white the saturation is 0 / 0
     same(run(cs.hsl_to_rgb, hsl), RGB)
     turned = np.add(hsv, [1.0, 0, 0])
     same(run(cs.hsv_to_rgb, turned), RGB)
@@ -254,7 +255,7 @@ def test_half_precision_is_kept_and_rounds_as_it_can(dtype):
 
 
 @pytest.mark.parametrize("size", [1e-37, 1e-20, 1.0, 1e38])
-def test_hue_and_chromaticity_do_not_depend_on_size(size):
+def test_hue_and_chromaticity_do_not_depend_on_lightness(size):
     colour = jnp.asarray(size * np.asarray([1.0, 2.0, 3.0]), jnp.float32)
     lightness = float(cs.rgb_to_hsl(colour)[2])
     found = [*cs.rgb_to_hsv(colour)[:2], cs.rgb_to_hsl(colour)[0], *cs.xyz_to_xyy(colour)[:2]]
@@ -303,7 +304,7 @@ def test_finite_and_of_one_dtype_at_black_white_and_greys(dtype):
 
 @pytest.mark.slow
 def test_hue_stays_below_a_full_turn():
-    """A hue just below a full turn, which rounding would bring to it."""
+    """A hue just below a full turn must not round to a full turn."""
     rgb, lab = np.float32([[1, 0.5, 0.50000006]]), np.float32([[50, 1, -1e-20]])
     for to, pixel in ((cs.rgb_to_hsv, rgb), (cs.rgb_to_hsl, rgb), (cs.to_lch, lab)):
         hue = compiled(to)(jnp.asarray(pixel))[0, 2 if to is cs.to_lch else 0]
@@ -312,10 +313,10 @@ def test_hue_stays_below_a_full_turn():
     np.testing.assert_array_equal(slope[0, 2], 1)
 
 
-def test_hexagons_there_and_back():
-    """Also outside [0, 1]; colours are lost in the two documented planes only."""
+def test_hexagons_are_inverted():
+    """This also holds outside [0, 1]. Colours are lost only in the two documented planes."""
     inside, outside = RNG.uniform(size=(51, 3)), RNG.uniform(-1, 2, size=(51, 3))
-    dark = 1e-8 * inside[np.ptp(inside, axis=1) > 0.1]  # the others count as grey
+    dark = 1e-8 * inside[np.ptp(inside, axis=1) > 0.1]  # others count as grey
     for to, back in ((cs.rgb_to_hsv, cs.hsv_to_rgb), (cs.rgb_to_hsl, cs.hsl_to_rgb)):
         there_and_back = compiled(lambda x, to=to, back=back: back(to(x)))
         for colours in (inside, outside):
@@ -327,7 +328,7 @@ def test_hexagons_there_and_back():
         assert to(jnp.asarray(pixel))[1] == 0
 
 
-def test_what_is_not_three_floating_bands_is_named(as_for_users):
+def test_arrays_without_three_floating_bands_are_refused(as_for_users):
     white = jnp.asarray(WHITE)
     calls = [
         cs.rgb_to_xyz,
@@ -369,9 +370,9 @@ def test_unknown_names_list_the_known():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("convert", [cs.xyz_to_lab, cs.xyz_to_luv])
-def test_xyz_of_another_scale_than_the_white_is_named(convert):
-    """L* of 522 for a white of Y = 1, of 9 at most for one of Y = 100; of the same scale, of one
-    dark colour and of a lamp in the picture nothing is said."""
+def test_xyz_on_another_scale_than_the_white_is_named(convert):
+    """L* is 522 for a white of Y = 1, and at most 9 for one of Y = 100. There is no warning for
+    equal scales, for one dark colour, and for a lamp in the picture."""
     with pytest.warns(UserWarning, match=r"Y goes up to 100 beside a white of Y = 1,"):
         convert(100 * jnp.asarray(WHITE), WHITE)
     with pytest.warns(UserWarning, match=r"beside a white of Y = 100,"):

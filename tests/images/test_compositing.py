@@ -1,4 +1,4 @@
-"""The algebra of Porter and Duff against a picture of actual coverage, and its laws."""
+"""Tests Porter and Duff's algebra against pictures of actual coverage, and its laws."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ def layer(*shape):
 
 A, B, C = layer(4, 5), layer(4, 5), layer(4, 5)
 
-# The picture shown in each of four regions (neither, only A, only B, both): the paper's table 1.
+# The picture in each of four regions (neither, only A, only B, both), from the paper's table 1.
 PICTURES = {
     "clear": "0000",
     "front": "0A0A",
@@ -36,8 +36,9 @@ PICTURES = {
 
 
 @pytest.mark.parametrize("operator", PICTURES)
-def test_operators_are_what_uncorrelated_coverage_shows(operator):
-    """A pixel as four regions of area (1-a)(1-b), a(1-b), (1-a)b, ab, each of one plain colour."""
+def test_operators_equal_uncorrelated_coverage(operator):
+    """A pixel consists of four regions of area (1-a)(1-b), a(1-b), (1-a)b and ab, each with one
+    colour."""
     found = np.asarray(c.composite(A, B, operator=operator))
     for i, j in np.ndindex(4, 5):
         a, b = float(A[i, j, 3]), float(B[i, j, 3])
@@ -63,13 +64,13 @@ def test_over_is_associative_and_not_commutative():
     assert np.abs(c.over(A, B) - c.over(B, A)).max() > 0.1
 
 
-def test_layers_fold_from_the_back():
+def test_layers_are_composited_from_the_back():
     stack = jnp.stack([A, B, C])
     np.testing.assert_allclose(c.flatten(stack), c.over(A, c.over(B, C)), rtol=1e-14)
     np.testing.assert_array_equal(c.flatten(stack[:1]), A)
 
 
-def test_nothing_and_everything():
+def test_empty_and_full_coverage():
     nothing, opaque = jnp.zeros_like(A), c.premultiply(A[..., :3], jnp.ones((4, 5, 1)))
     np.testing.assert_array_equal(c.over(nothing, A), A)
     np.testing.assert_array_equal(c.over(A, nothing), A)
@@ -103,7 +104,7 @@ def test_straight_and_premultiplied():
 
 
 def test_files_are_composited_in_linear_light():
-    """White at half coverage over black is half the light, code 188, not code 128."""
+    """White at half coverage over black is half the light, code 188 and not 128."""
     linear, encoded = jax.jit(c.layer_from_srgb), jax.jit(c.layer_to_srgb)
     white, black = (linear(np.array(rgba)) for rgba in ([1.0, 1.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]))
     seen = np.asarray(encoded(jax.jit(c.over)(white, black)))
@@ -115,7 +116,7 @@ def test_files_are_composited_in_linear_light():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
-def test_uncovered_pixels_have_no_colour_and_no_slope(dtype):
+def test_uncovered_pixels_have_no_colour_and_no_gradient(dtype):
     for light in (0.0, 0.3):
         empty = jnp.asarray([light, light, light, 0.0], dtype)
         value, slope = jax.value_and_grad(lambda x: c.layer_to_srgb(x).sum())(empty)
@@ -143,8 +144,8 @@ def test_alpha_outside_its_range_is_named_and_defined_under_a_trace():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_rounding_is_no_wrong_alpha(dtype):
-    """Blurred full coverage, a sum of rounded weights, is 1 except for a few units, and is kept."""
+def test_rounding_is_not_an_invalid_alpha(dtype):
+    """Blurred full coverage, a sum of rounded weights, is 1 within a few ULP, and is accepted."""
     eps = float(jnp.finfo(dtype).eps)
     nearly = jnp.asarray([1 + 4 * eps, 1 + 99 * eps, -99 * eps], dtype)[:, None]
     layer = jnp.concatenate([jnp.full((3, 1), 0.5, dtype), nearly], axis=-1)
@@ -158,7 +159,7 @@ def test_numbers_for_fractions():
     np.testing.assert_array_equal(c.darken(A, 0.3), c.darken(A, jnp.asarray(0.3)))
 
 
-def test_codes_and_shapes_that_do_not_fit_are_named(as_for_users):
+def test_codes_and_mismatched_shapes_are_named(as_for_users):
     codes = jnp.full((4, 5, 4), 128, jnp.uint8)
     for call in (
         lambda: c.over(codes, A),
@@ -190,26 +191,26 @@ def test_bad_calls_are_named():
 
 
 def soft_disc(colour, coverage_first):
-    """A soft disc of one colour, (40, 40, 4), multiplied by its coverage or straight."""
+    """Return a soft disc of one colour, (40, 40, 4), premultiplied or not."""
     row, column = np.mgrid[:40, :40] - 19.5
     alpha = np.clip((14 - np.hypot(row, column)) / 5, 0, 1)[..., None]
     light = np.broadcast_to(colour, (40, 40, 3)) * (alpha if coverage_first else 1)
     return np.concatenate([light, alpha], axis=-1)
 
 
-def test_straight_colours_are_named_where_layers_are_due():
+def test_straight_colours_are_named_where_premultiplied_ones_are_needed():
     behind = np.concatenate([np.full((40, 40, 3), 0.3), np.ones((40, 40, 1))], axis=-1)
     with pytest.warns(UserWarning, match=r"front: light exceeds .* in 100% of the pixels"):
         c.over(soft_disc([0.8, 0.5, 0.2], False), behind)
-    right = c.over(soft_disc([0.8, 0.5, 0.2], True), behind)  # a warning would be an error
+    right = c.over(soft_disc([0.8, 0.5, 0.2], True), behind)  # must cause no warning
     alpha = soft_disc([0, 0, 0], True)[..., 3:]
     np.testing.assert_allclose(
         right[..., :3], alpha * [0.8, 0.5, 0.2] + (1 - alpha) * 0.3, rtol=1e-5
     )
-    c.over(soft_disc([8.0, 5.0, 2.0], True), behind)  # light above 1 may exceed any coverage
+    c.over(soft_disc([8.0, 5.0, 2.0], True), behind)  # light above 1 may exceed its coverage
 
 
-def test_colours_that_were_multiplied_already_are_named():
+def test_colours_multiplied_twice_are_named():
     with pytest.warns(UserWarning, match="No colour exceeds its coverage"):
         c.layer_from_srgb(np.round(255 * soft_disc([0.8, 0.5, 0.2], True)) / 255)
     for straight in ([0.8, 0.5, 0.2], [0.15, 0.1, 0.1], [0.0, 0.0, 0.0]):

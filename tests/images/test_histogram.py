@@ -1,5 +1,5 @@
-"""Histograms against numpy, thresholds and equalisation against OpenCV and scikit-image, laws of
-distributions, gradients, and bad input."""
+"""Tests histograms against NumPy, thresholds and equalisation against OpenCV and scikit-image, laws
+of distributions, gradients, and refusals."""
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from jaxvision.histogram import (
 )
 
 RNG = np.random.default_rng(8)
-# Two hills, one of them narrow, and empty codes between, as in a photograph.
+# Two peaks, one of them narrow, with empty codes between, as in a photograph.
 CODES = np.clip(
     np.where(
         RNG.random((64, 48)) < 0.6,
@@ -40,7 +40,8 @@ COLOUR = np.stack([CODES, 255 - CODES, np.roll(CODES, 5, axis=0) // 2], axis=-1)
 @pytest.mark.parametrize(("bins", "value_range"), [(7, (0.0, 1.0)), (100, (0.1, 0.9))])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_floating_counts_are_numpys(bins, value_range, dtype):
-    """Also for values on the edges themselves, where the quotient alone may fall either way."""
+    """This includes values exactly on the edges, where the quotient alone may round to either
+    side."""
     edges = np.linspace(*value_range, bins + 1).astype(dtype)
     x = np.concatenate([VALUES.ravel().astype(dtype), edges, np.nextafter(edges, dtype(0))])
     ours = exact_histogram(x[None], bins=bins, value_range=value_range)
@@ -77,17 +78,17 @@ def test_every_band_of_every_image_is_counted_alone():
             np.testing.assert_array_equal(of_image[band], expected)
 
 
-def test_nan_and_values_outside_are_not_counted():
+def test_nan_and_values_outside_the_range_are_not_counted():
     x = jnp.asarray([[jnp.nan, -0.1, 0.0, 1.0, 1.1, jnp.inf]])
     for count in (exact_histogram, soft_histogram):
         with pytest.warns(UserWarning, match=r"4 of 6 values are outside \[0, 1\] or NaN"):
             histogram = count(x, bins=4)
         np.testing.assert_array_equal(histogram.counts, [1, 0, 0, 1])
-        count(x, bins=4, value_range=(0, 1))  # as asked for
+        count(x, bins=4, value_range=(0, 1))  # with the given range
 
 
 def test_soft_weights_against_the_loop():
-    """Distance to each bin's centre, in bins: max(0, 1 - |d|)."""
+    """The weight is max(0, 1 - |d|) for a distance of d bins from the bin's centre."""
     x, bins = VALUES[:8], 9
     expected = np.zeros(bins)
     for value in x[(x >= 0) & (x <= 1)]:
@@ -112,7 +113,7 @@ def test_cubic_weights_are_the_b_spline():
 
 
 @pytest.mark.slow
-def test_departure_is_the_weight_in_other_bins_and_vanishes_for_whole_codes():
+def test_departure_is_the_weight_in_other_bins_and_zero_for_integer_codes():
     exact, soft = exact_histogram(VALUES, bins=20), soft_histogram(VALUES, bins=20)
     moved = np.abs(np.asarray(soft.counts) - np.asarray(exact.counts)).sum() / 2
     np.testing.assert_allclose(soft.departure, moved / np.asarray(exact.counts).sum())
@@ -123,7 +124,7 @@ def test_departure_is_the_weight_in_other_bins_and_vanishes_for_whole_codes():
 
 
 def test_departure_falls_with_the_square_of_the_width_for_smooth_data():
-    """Values at equal steps of a normal distribution: no noise of counting."""
+    """The values are quantiles of a normal distribution, so there is no counting noise."""
     from scipy.stats import norm
 
     x = norm.ppf((np.arange(40000) + 0.5) / 40000, 0.5, 0.08)[None]
@@ -152,8 +153,8 @@ def test_quantile_is_within_a_bin():
 
 
 def test_quantile_is_linear_within_a_bin():
-    """The inverse of the cumulative distribution, which rises linearly within each bin."""
-    histogram = exact_histogram(VALUES, bins=12, value_range=(0.1, 0.9))  # none of them empty
+    """It is the inverse of the cumulative distribution, which is linear within each bin."""
+    histogram = exact_histogram(VALUES, bins=12, value_range=(0.1, 0.9))  # no bin is empty
     q = np.array([0.0, 0.013, 0.2, 0.5, 0.777, 1.0])
     below = [((edge > VALUES) & (VALUES >= 0.1)).sum() for edge in np.asarray(histogram.edges)]
     below[-1] = ((VALUES >= 0.1) & (VALUES <= 0.9)).sum()
@@ -190,8 +191,8 @@ def test_equalisation_is_opencvs(codes):
     assert levels_apart(equalise(codes), cv2.equalizeHist(codes)) <= 1
 
 
-def test_without_the_first_code_at_zero_equalisation_is_the_textbooks():
-    """255 c(I): of 60 % black pixels, 153."""
+def test_without_the_first_code_at_zero_equalisation_is_the_textbook_formula():
+    """The curve is 255 c(I), which is 153 for 60 % black pixels."""
     black = np.where(np.arange(100) < 60, 0, 200).astype(np.uint8).reshape(10, 10)
     assert np.unique(equalise(black, first_to_zero=False)).tolist() == [153, 255]
     c = np.cumsum(np.bincount(CODES.ravel(), minlength=256)) / CODES.size
@@ -201,17 +202,18 @@ def test_without_the_first_code_at_zero_equalisation_is_the_textbooks():
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 0.501, 1.0])
-def test_a_picture_of_one_value_stays(value):
+def test_a_picture_of_one_value_is_unchanged(value):
     flat = np.full((8, 9), value)
     np.testing.assert_array_equal(equalise(flat), flat)
     np.testing.assert_array_equal(equalise_locally(flat, tiles=(2, 2), clip_limit=None), flat)
 
 
-def test_values_outside_are_counted_where_they_are_clamped():
-    """A quarter below, a quarter above, the rest even: the curve of the clamped picture."""
+def test_values_outside_are_counted_at_the_ends():
+    """A quarter of the values is below and a quarter above. The curve is that of the clamped
+    picture."""
     x = np.linspace(-0.5, 1.5, 4000)[None]
     got = np.asarray(equalise(x, bins=4))
-    # the four bins hold 3/8, 1/8, 1/8 and 3/8 of the values
+    # the four bins have 3/8, 1/8, 1/8 and 3/8 of the values
     corners, heights = [0, 0.25, 0.5, 0.75, 1], [0, 3 / 8, 1 / 2, 5 / 8, 1]
     np.testing.assert_allclose(got, np.interp(np.clip(x, 0, 1), corners, heights), atol=1e-12)
     bright = np.full((4, 4), 2.0)
@@ -229,8 +231,8 @@ def test_lists_and_numbers_of_numpy():
     )
 
 
-def test_equalised_values_are_spread_evenly():
-    """The textbook's purpose: the distribution of the result is the diagonal."""
+def test_equalised_values_are_uniform():
+    """The distribution of the result is uniform, the purpose stated in the textbook."""
     flat = equalise(np.clip(VALUES, 0, 1), bins=500)
     counts = exact_histogram(flat, bins=10).counts
     inside = ((VALUES > 0) & (VALUES < 1)).mean()
@@ -249,7 +251,7 @@ def test_partial_equalisation_blends_with_the_identity():
 
 @pytest.mark.slow
 def test_gradient_of_equalisation_is_the_slope_of_the_fixed_curve():
-    """The density of each value's bin: its count over n and the bin's width."""
+    """The slope is the density in each value's bin: its count over n and the bin's width."""
     x = jnp.asarray(RNG.uniform(size=(20, 30)))
     slope = jax.grad(lambda x: equalise(x, bins=8).sum())(x)
     counts = exact_histogram(x, bins=8).counts
@@ -261,7 +263,7 @@ def test_gradient_of_equalisation_is_the_slope_of_the_fixed_curve():
     [((8, 8), 2.0), ((8, 8), 40.0), ((8, 8), 0.5), ((5, 7), 3.0), ((4, 3), None)],
 )
 def test_clahe_is_opencvs(tiles, clip_limit):
-    """Sizes that the tiles divide and that they do not."""
+    """The picture's size is divisible by the tiles, or not."""
     import cv2
 
     peer = cv2.createCLAHE(0.0 if clip_limit is None else clip_limit, tiles[::-1])
@@ -293,7 +295,8 @@ def test_clahe_of_one_tile_without_limit_is_equalisation():
 
 
 def test_clahe_with_a_limit_of_one_keeps_the_values():
-    """Every clipped bin holds the mean count at most, so redistribution levels the rest."""
+    """Every clipped bin has at most the mean count, so redistribution makes the histogram
+    uniform."""
     even = np.tile(np.linspace(0.01, 0.99, 50), (50, 1))
     ours = equalise_locally(even, tiles=(1, 1), clip_limit=1.0, bins=50)
     np.testing.assert_allclose(ours, even, atol=0.02)
@@ -318,7 +321,7 @@ def test_matching_with_oneself_changes_nothing():
 # ------------------------------------------------ policy
 
 
-def test_nan_stays_where_it_was():
+def test_nan_stays_in_its_pixel():
     x = np.clip(VALUES, 0, 1)
     x[3, 4] = np.nan
     others = np.isfinite(x)
@@ -333,7 +336,7 @@ def test_nan_stays_where_it_was():
 
 
 @pytest.mark.parametrize("counts", [[0.0, 0.0, 0.0], [1.0, np.nan, 2.0], [np.nan, 1.0, 2.0]])
-def test_no_counts_and_unknown_ones_have_no_quantile_and_no_threshold(counts):
+def test_empty_and_unknown_counts_have_no_quantile_and_no_threshold(counts):
     histogram = Histogram(jnp.asarray([counts, [1.0, 2.0, 1.0]]), jnp.arange(4.0))
     for found in (quantile(histogram, 0.5), otsu_threshold(histogram)):
         np.testing.assert_array_equal(np.isnan(found), [True, False])

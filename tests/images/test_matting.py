@@ -1,5 +1,5 @@
-"""Mattes against scenes composed by hand, the Laplacian and the systems against NumPy loops and
-SciPy's direct solver, and the whole against pymatting."""
+"""Tests mattes against scenes composed by hand, the Laplacian and the systems against NumPy loops
+and SciPy's direct solver, and the results against pymatting."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ RNG = np.random.default_rng(13)
 
 
 def picture(rows, columns, bands=3):
-    """Smooth colours with a little texture, in (0, 1)."""
+    """Return smooth colours with a little texture, in (0, 1)."""
     y, x = np.mgrid[:rows, :columns] / max(rows, columns)
     phase, rate = RNG.uniform(0, 6, size=bands), RNG.uniform(2, 8, size=bands)
     waves = 0.5 + 0.3 * np.sin(phase + rate * y[..., None] + rate[::-1] * x[..., None])
@@ -26,7 +26,7 @@ def picture(rows, columns, bands=3):
 
 
 def disc(side):
-    """(alpha (side, side, 1), trimap (side, side)) of a disc with a soft edge."""
+    """Return (alpha (side, side, 1), trimap (side, side)) of a disc with a soft edge."""
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     inside = 0.3 * side - np.hypot(y, x)
     band = 0.12 * side
@@ -47,7 +47,7 @@ def arrays(*values):
 # ------------------------------------------------ keying
 
 
-def test_a_faint_matte_keeps_its_digits():
+def test_a_faint_matte_is_accurate():
     alpha = jnp.logspace(-6, 0, 7, dtype=jnp.float32)[:, None]
     colour = jnp.asarray([0.5, 0.25, 1], jnp.float32)
     got = matting.projected_matte(alpha * colour[None], colour, 0 * colour)
@@ -63,8 +63,9 @@ def test_triangulation_is_exact():
 
 
 @pytest.mark.slow
-def test_more_backgrounds_beat_two_under_noise_and_are_least_squares():
-    """NumPy's solver, pixel by pixel, on the unclipped equations C_o + (1 - alpha) K = C."""
+def test_more_backgrounds_reduce_noise_and_are_least_squares():
+    """The reference is NumPy's solver, pixel by pixel, for the equations C_o + (1 - alpha) K = C
+    without clipping."""
     backs = np.stack([BEHIND, BEHIND_2, BEHIND_3])
     seen = np.stack([SEEN, SEEN_2, SEEN_3]) + RNG.normal(0, 0.01, size=(3, 24, 24, 3))
     found = np.asarray(matting.least_squares_matte(*arrays(seen, backs)))
@@ -83,7 +84,7 @@ def test_more_backgrounds_beat_two_under_noise_and_are_least_squares():
     assert rms[0] < rms[1] < 0.1
 
 
-def test_blue_screen_of_objects_that_keep_their_promise():
+def test_blue_screen_of_objects_that_satisfy_its_assumption():
     blue = np.array([0.05, 0.1, 0.8])
     without_blue = FRONT * [1, 1, 0]
     seen = ALPHA * without_blue + (1 - ALPHA) * blue
@@ -113,7 +114,7 @@ def test_known_colours_and_difference():
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
-def test_backgrounds_that_tell_nothing_give_the_picture(dtype):
+def test_equal_backgrounds_give_the_picture(dtype):
     seen, behind = (jnp.asarray(x, dtype) for x in (SEEN, BEHIND))
     keyed = {
         "triangulation": lambda x: matting.triangulation_matte(x, behind, x, behind)[..., 3:],
@@ -133,7 +134,7 @@ def test_backgrounds_that_tell_nothing_give_the_picture(dtype):
 
 
 def dense(stencil):
-    """The stencil's matrix, element by element."""
+    """Return the stencil as a matrix, element by element."""
     rows, columns = stencil.shape[2:]
     matrix = np.zeros((rows * columns,) * 2)
     for y, x in np.ndindex(rows, columns):
@@ -147,7 +148,7 @@ def dense(stencil):
 
 
 def levin(image, epsilon):
-    """Equation 5 of the paper, window by window, with NumPy's own inverse."""
+    """Return the matrix of equation 5 of the paper, window by window, with NumPy's inverse."""
     rows, columns, bands = image.shape
     matrix = np.zeros((rows * columns,) * 2)
     for y in range(rows - 2):
@@ -172,7 +173,7 @@ def test_laplacian_is_the_paper_s(bands):
 
 
 @pytest.mark.slow
-def test_affine_in_the_colours_costs_nothing():
+def test_functions_affine_in_the_colours_have_zero_energy():
     image = picture(8, 9)
     stencil = jax.jit(lambda x: matting_laplacian(x, epsilon=1e-12))(jnp.asarray(image))
     affine = jnp.asarray(image @ [0.3, -0.7, 0.2] + 0.4)
@@ -184,7 +185,7 @@ def test_affine_in_the_colours_costs_nothing():
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("bands", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
+def test_uniform_pictures_have_a_finite_laplacian(dtype, bands):
     flat = jnp.stack([jnp.zeros((3, 4, bands), dtype), jnp.full((3, 4, bands), 0.7, dtype)])
     square = jax.value_and_grad(lambda x: jnp.square(matting_laplacian(x)).sum())
     value, slope = jax.jit(jax.vmap(square))(flat)
@@ -196,8 +197,8 @@ def test_flat_pictures_have_a_finite_laplacian(dtype, bands):
 
 
 @pytest.mark.slow
-def test_coarse_grids_are_galerkin_s():
-    """P^T A P and the cycle's symmetry, with P written as a matrix."""
+def test_coarse_grids_are_galerkins():
+    """Coarse grids are P^T A P with P written as a matrix, and a multigrid cycle is symmetric."""
     rows, columns = 9, 12
     image = jnp.asarray(picture(rows, columns))
     stencil = jax.jit(lambda x: matting_laplacian(x).at[2, 2].add(0.5))(image)
@@ -206,7 +207,7 @@ def test_coarse_grids_are_galerkin_s():
     units = jnp.eye(30).reshape(30, 5, 6)
     p = np.asarray(jax.jit(jax.vmap(lambda x: interpolate(x, (rows, columns))))(units))
     p = p.reshape(30, -1).T
-    np.testing.assert_array_equal(p.sum(axis=1), 1)  # a constant stays itself
+    np.testing.assert_array_equal(p.sum(axis=1), 1)  # constants are preserved
     coarse = p.T @ dense(np.asarray(stencil)) @ p
     factor = np.tril(np.asarray(grids.coarsest))
     np.testing.assert_allclose(factor @ factor.T, coarse, atol=1e-12)
@@ -221,7 +222,7 @@ def test_coarse_grids_are_galerkin_s():
 
 
 def band_of_unknown(columns, bands):
-    """(picture, trimap) of eight rows, the middle four of them unknown."""
+    """Return (picture, trimap) of eight rows, the middle four of them unknown."""
     rows = np.repeat([1.0, 0.5, 0.0], [2, 4, 2])
     return picture(8, columns, bands), rows[:, None] * np.ones((1, columns))
 
@@ -231,7 +232,8 @@ SOLVE = jax.jit(lambda image, trimap: matting.closed_form_matte(image, trimap, t
 
 @pytest.mark.slow
 def test_closed_form_is_the_direct_solution():
-    """SciPy's sparse LU on the same equations: the unknown pixels' rows, the known ones given."""
+    """The reference is SciPy's sparse LU of the same equations: the rows of unknown pixels, given
+    the known ones."""
     matte = SOLVE(*arrays(SEEN, TRIMAP))
     laplacian, unknown = levin(SEEN, 1e-7), (TRIMAP == 0.5).ravel()
     direct = TRIMAP.copy().ravel()
@@ -244,7 +246,7 @@ def test_closed_form_is_the_direct_solution():
 
 
 @pytest.mark.slow
-def test_confidence_is_the_paper_s():
+def test_confidence_is_the_papers():
     image, trimap = band_of_unknown(8, 3)
     soft = jax.jit(lambda i, t: matting.closed_form_matte(i, t, confidence=0.01, tolerance=1e-12))
     known = np.diag(0.01 * (trimap != 0.5).ravel())
@@ -255,7 +257,7 @@ def test_confidence_is_the_paper_s():
 
 
 @pytest.mark.slow
-def test_too_few_steps_are_said():
+def test_too_few_steps_are_reported():
     scene = arrays(*band_of_unknown(9, 1))
     rushed = jax.jit(lambda i, t: matting.closed_form_matte(i, t, max_steps=2))(*scene)
     assert not rushed.converged
@@ -266,7 +268,8 @@ def test_too_few_steps_are_said():
 
 
 def least_energy(image, alpha, regularisation=1e-5):
-    """The documented energy's minimum, both unknowns of all pixels in one sparse system."""
+    """Return the minimum of the documented energy, with both unknowns of all pixels in one sparse
+    system."""
     rows, columns = alpha.shape
     n = rows * columns
     index = np.arange(n).reshape(rows, columns)
@@ -300,10 +303,10 @@ def test_foreground_is_the_least_energy():
 
 
 def energy(foreground, background, image, alpha, regularisation=1e-5):
-    """The documented sum, as a loop over pairs of neighbours."""
+    """Return the documented sum, as a loop over pairs of neighbours."""
     total = np.sum((alpha * foreground + (1 - alpha) * background - image) ** 2)
     for axis in (0, 1):
-        weight = 2 * (regularisation + np.abs(np.diff(alpha, axis=axis)))  # ij and ji
+        weight = 2 * (regularisation + np.abs(np.diff(alpha, axis=axis)))  # for ij and ji
         for light in (foreground, background):
             total += np.sum(weight * np.diff(light, axis=axis) ** 2)
     return total
@@ -311,7 +314,7 @@ def energy(foreground, background, image, alpha, regularisation=1e-5):
 
 @pytest.mark.slow
 def test_foreground_in_few_steps():
-    """Near the least energy, and hidden colours are close to the true ones."""
+    """The energy is near its minimum, and hidden colours are close to the true ones."""
     found = jax.jit(matting.estimate_foreground)(*arrays(SEEN, ALPHA))
     foreground, background = map(np.asarray, found)
     least = energy(*least_energy(SEEN, ALPHA[..., 0]), SEEN, ALPHA)
@@ -349,8 +352,9 @@ def test_bad_trimaps_are_named():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("scale", [255.0, 1e4])
-def test_the_matte_of_a_bright_picture_is_that_of_its_scaled_copy(scale):
-    """In float32 the default epsilon is lost in the rounding of bright pictures: alpha was NaN."""
+def test_the_matte_of_a_bright_picture_equals_its_scaled_copys(scale):
+    """In float32 the default epsilon would be lost in the rounding of bright pictures, and alpha be
+    NaN."""
     image, trimap = (jnp.asarray(x, jnp.float32) for x in (SEEN, TRIMAP))
     found = matting.closed_form_matte(scale * image, trimap)
     right = matting.closed_form_matte(image, trimap)
@@ -371,7 +375,7 @@ def test_a_matte_that_does_not_depend_on_the_picture_is_named():
     np.testing.assert_allclose(dim.alpha, matting.closed_form_matte(image, trimap).alpha, atol=5e-3)
 
 
-def test_numbers_that_solve_nothing_are_named():
+def test_arguments_that_solve_nothing_are_named():
     image, trimap, alpha, behind = arrays(SEEN, TRIMAP, ALPHA, BEHIND)
     for options, message in (
         ({"epsilon": 0.0}, r"epsilon must be above 0, got 0\.0"),
@@ -395,7 +399,7 @@ def test_numbers_that_solve_nothing_are_named():
         assert step(pixel, at, *arrays(0.0, 0.0)) == covered
 
 
-def test_codes_and_ranks_that_do_not_fit_are_named(as_for_users):
+def test_codes_and_mismatched_ranks_are_named(as_for_users):
     image, trimap, alpha, behind = arrays(SEEN, TRIMAP, ALPHA, BEHIND)
     codes = jnp.full(image.shape, 128, jnp.uint8)
     for call in (
@@ -455,7 +459,7 @@ def test_a_nan_stays_in_its_own_pixel():
 
 
 def hair(seed, *, side=24, texture=0.05, noise=0.003):
-    """A picture of strands before a background, its trimap and its true coverage."""
+    """Return a picture of strands in front of a background, its trimap and its true coverage."""
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(seed)
@@ -504,9 +508,9 @@ def test_errors_of_mattes_are_those_of_simulated_hair(texture, seeds):
 
 
 @pytest.mark.slow
-def test_the_inverse_of_the_laplacian_is_no_measure_of_a_mattes_errors():
-    """Dense, 24 x 24: the variance that its unit needs, over the energy of a pixel, which would be
-    1 if the energy were minus a log-probability, differs twentyfold between scenes."""
+def test_the_inverse_laplacian_is_not_the_covariance_of_a_matte():
+    """If the energy were minus a log-probability, the ratio of the true variance to the Laplacian's
+    inverse would be 1. Between two dense scenes (24 x 24) it differs twentyfold."""
     needed = []
     for seed, texture in ((0, 0.0), (3, 0.05)):
         image, trimap, alpha, _ = hair(seed, texture=texture)

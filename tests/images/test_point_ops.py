@@ -1,4 +1,5 @@
-"""Point operators against loops, published values, inverses, superposition and edges."""
+"""Tests point operators against loops, published values, inverses and superposition, and at
+edges."""
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +47,7 @@ def test_srgb_against_the_loop():
 
 
 def test_srgb_of_known_greys():
-    """Reflectance 0.18 is code 118 of 255, and code 128 is 21.6 % of white."""
+    """A reflectance of 0.18 is code 118 of 255, and code 128 is 21.6 % of white."""
     assert round(float(srgb_encode(jnp.asarray(0.18))) * 255) == 118
     np.testing.assert_allclose(srgb_decode(jnp.asarray(128 / 255)), 0.2158605, atol=5e-8)
 
@@ -54,7 +55,7 @@ def test_srgb_of_known_greys():
 def test_inverses():
     x = jnp.linspace(0, 2, 50)
     np.testing.assert_allclose(gamma_decode(gamma_encode(x, jnp.asarray(2.2)), jnp.asarray(2.2)), x)
-    # the two published thresholds do not quite meet: 12.92 * 0.0031308 = 0.04044994
+    # the two published thresholds are slightly inconsistent: 12.92 * 0.0031308 = 0.04044994
     np.testing.assert_allclose(srgb_decode(srgb_encode(x)), x, rtol=1e-14)
 
 
@@ -113,7 +114,7 @@ NOT_LINEAR = {
 
 
 def superposition_error(operator):
-    """The largest |h(a f + b g) - (a h(f) + b h(g))|."""
+    """Return the largest |h(a f + b g) - (a h(f) + b h(g))|."""
     a, b = 0.7, 1.9
     error = jax.jit(
         lambda f, g: jnp.abs(operator(a * f + b * g) - (a * operator(f) + b * operator(g))).max()
@@ -148,8 +149,8 @@ def test_vignetting_by_the_loop_and_back():
 
 
 @pytest.mark.slow
-def test_a_lens_that_lets_nothing_through():
-    """1 - 2 r^2 is below 0 in the corners: black there, and still black after correction."""
+def test_a_lens_with_black_corners():
+    """1 - 2 r^2 is below 0 in the corners, which are black, and stay black after correction."""
     dark = jnp.asarray([-2.0])
     shaded = vignette(F, dark)
     assert (shaded[:, 0, 0] == 0).all()
@@ -163,8 +164,8 @@ def test_a_lens_that_lets_nothing_through():
 
 
 def test_graded_filter_by_hand():
-    """Darker to the right: nothing on the left, half the density at the centre line, all of it on
-    the right; turned up, rows instead of columns."""
+    """The filter darkens to the right: zero density on the left, half at the centre line, and all
+    on the right. Rotated upwards, it varies along rows."""
     image = jnp.ones((5, 5, 1))
     density = scalar(0.6)
     graded = jax.jit(graded_filter)
@@ -254,14 +255,14 @@ def test_reinhard_at_its_fixed_points():
     np.testing.assert_allclose(reinhard(x), [0, 0.5, 0.8], rtol=1e-15)
     np.testing.assert_allclose(reinhard(x, white=scalar(4.0))[2], 1.0, rtol=1e-15)
     assert float(reinhard(jnp.asarray(jnp.inf))) == 1.0
-    # the more can burn out, the nearer to the simple curve
+    # a larger white is nearer to the simple curve
     np.testing.assert_allclose(reinhard(x, white=scalar(1e9)), reinhard(x), rtol=1e-15)
     slope = jax.jit(jax.vmap(jax.grad(reinhard)))(jnp.asarray([-1e-9, 0.0, 1e-9]))
     np.testing.assert_allclose(slope, 1, rtol=1e-8)
 
 
 @pytest.mark.slow
-def test_key_of_a_picture():
+def test_the_key_of_a_picture():
     luminance = RNG.uniform(0.01, 10, size=(8, 9))
     ours = scaled_to_key(jnp.asarray(luminance), key_value=0.36)
     expected = 0.36 * luminance / np.exp(np.mean(np.log(luminance)))
@@ -277,8 +278,8 @@ def test_key_of_a_picture():
     np.testing.assert_allclose(scaled_to_key(jnp.asarray(holes)), expected, rtol=1e-13)
 
 
-def test_black_pixels_that_move_the_key_are_named():
-    """A fifth of the picture is a black border: the rest becomes 16 times as bright."""
+def test_black_pixels_that_change_the_key_are_named():
+    """A fifth of the picture is a black border, so the rest becomes 16 times as bright."""
     luminance = RNG.uniform(0.5, 1.0, size=(10, 10))
     whole = scaled_to_key(jnp.asarray(luminance))
     bordered = np.where(np.arange(10)[:, None] < 2, 0, luminance)
@@ -310,13 +311,13 @@ def test_a_curve_of_the_luminance_keeps_the_chromaticity():
 # ------------------------------------------------ fast forms, edges, types
 
 
-def test_fast_forms_err_as_documented():
-    """Up to 16 gamma units of the last place, where a dark value is a large power of two."""
+def test_fast_forms_have_the_documented_errors():
+    """The error is up to 16 gamma ULP for dark values, which are large powers of two."""
     x = np.geomspace(1e-5, 1, 20_001).astype(np.float32)
     eps = np.finfo(np.float32).eps
     for curve in (gamma_encode, gamma_decode):
         g = np.float32(2.2)
-        power = 1 / g if curve is gamma_encode else g  # as rounded to float32: the input
+        power = 1 / g if curve is gamma_encode else g  # as rounded to float32
         truth = x.astype(np.float64) ** np.float64(np.float32(power))
         for method, bound in (("power", 2), ("exp2", 16 * power)):
             found = np.asarray(curve(jnp.asarray(x), jnp.asarray(g), method=method), np.float64)
@@ -352,7 +353,7 @@ CURVES = {
 
 
 def together(x):
-    """Every curve, and its slope, of the numbers x: compiled once for all."""
+    """Return the value and the slope of every curve at the numbers x, in one program."""
     return {n: (f(x), jax.vmap(jax.grad(f))(x)) for n, f in CURVES.items()}
 
 
@@ -407,7 +408,7 @@ def test_integer_codes_are_refused_as_colours(as_for_users):
 
 @pytest.mark.parametrize("decode", [srgb_decode, lambda x: gamma_decode(x, 2.2)])
 def test_encoded_values_far_above_white_are_named(decode):
-    """Means of codes, which are no whole numbers; 1.5 lies outside of a gamut or a range."""
+    """Means of codes are not integers. 1.5 may be outside a gamut or a range."""
     with pytest.warns(UserWarning, match=r"up to 200\.5, where 1 is white: divide codes"):
         decode(jnp.asarray([[0.0, 127.25, 200.5]]))
     decode(jnp.asarray([[-0.1, 0.5, 1.5, jnp.inf, jnp.nan]]))

@@ -1,5 +1,5 @@
-"""Surface, response and sensor together: the marginal density against dense covariances, what is in
-the likelihood, and simulated labs against their truth."""
+"""Tests joint fits of surface, response and sensor: the marginal density against dense covariances,
+the terms of the likelihood, and the recovery of simulated labs."""
 
 import json
 import math
@@ -50,7 +50,7 @@ RNG = np.random.default_rng(4)
 
 
 def table(images=3, cells=5, errors=2):
-    """Residuals, weights with two cells unseen, and errors."""
+    """Return residuals, weights with two cells unseen, and errors."""
     weight = RNG.uniform(0.5, 2.0, (images, cells))
     weight[0, 1] = weight[2, 4] = 0
     seen = weight > 0
@@ -60,7 +60,7 @@ def table(images=3, cells=5, errors=2):
 
 
 def dense(weight, shared, gains):
-    """The covariance of the seen cells, entry by entry."""
+    """Return the covariance of the seen cells, entry by entry."""
     places = np.argwhere(weight > 0)
     matrix = np.zeros((len(places), len(places)))
     for a, (i, c) in enumerate(places):
@@ -77,7 +77,7 @@ def dense(weight, shared, gains):
 @pytest.mark.sweep("True-True")
 @pytest.mark.parametrize("with_images", [False, True])
 @pytest.mark.parametrize("with_cells", [False, True])
-def test_shared_errors_are_integrated_out(with_images, with_cells):
+def test_shared_errors_are_marginalised(with_images, with_cells):
     residual, weight, shared, gains = table()
     kept = {"image_errors": shared if with_images else None}
     kept |= {"cell_errors": gains if with_cells else None}
@@ -106,8 +106,9 @@ def test_the_errors_of_images_are_their_conditional_means(with_cells):
         np.testing.assert_allclose(spread[image, error] ** 2, 1 - solved @ loading, rtol=1e-10)
 
 
-def test_the_scatter_of_pixels_and_its_mean_are_the_pixels():
-    """Count, mean and products say what a dense normal density of all pixels says."""
+def test_the_scatter_of_pixels_and_their_mean_are_sufficient():
+    """Count, mean and products give the same density as a dense normal distribution of all
+    pixels."""
     images, pixels = 3, 7
     variance, gains = RNG.uniform(1, 3, images), RNG.uniform(1, 2, images)
     y = RNG.standard_normal((images, pixels)) * 2
@@ -151,8 +152,8 @@ def photographs(
     rng, *, lights=7, scatter=0.01, turn=0.0, stray=0.0, prnu=0.0, gamma=GAMMA,
     exponent=EXPONENT, body=1.0, size=SIZE,
 ):  # fmt: skip
-    """A Phong ball under lights that are not quite what they are said to be."""
-    nodes, shares = np.polynomial.legendre.leggauss(4)  # places within a pixel, along each side
+    """Return photographs of a Phong ball under lights that differ from the stated ones."""
+    nodes, shares = np.polynomial.legendre.leggauss(4)  # positions in a pixel, along each side
     at = (np.arange(size)[:, None] + nodes / 2).ravel()
     row, column = np.meshgrid(at, at, indexing="ij")
     centre, radius = (size - 1) / 2, 0.45 * size
@@ -189,7 +190,7 @@ ENCODED = Camera(bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd
 
 
 def primitives(jaxpr):
-    """Names of all operations, those inside others too."""
+    """Return the names of all operations, including inner ones."""
     found = []
     for equation in jaxpr.eqns:
         found.append(equation.primitive.name)
@@ -201,7 +202,7 @@ def primitives(jaxpr):
 
 
 def likelihood_of(measurement):
-    """Operations in the log likelihood that a measurement calls for, on two blank cells."""
+    """Return the operations in the log likelihood of a measurement, for two empty cells."""
     form, start = Form("phong"), {"gamma": GAMMA} if measurement.camera.gamma else {}
     space, known = parameters(measurement, 0, form, start)
     seven = jnp.full((7, 2), 0.5)
@@ -228,8 +229,8 @@ def likelihood_of(measurement):
     return primitives(jax.make_jaxpr(log_likelihood)(jnp.zeros(len(space)), data).jaxpr)
 
 
-def test_only_what_the_rig_calls_for_is_in_the_likelihood():
-    """No Cholesky factor where the lights are exact, no power where the files are linear."""
+def test_only_effects_stated_by_the_rig_are_in_the_likelihood():
+    """Without light errors there is no Cholesky factor, and without encoding no power."""
     images, lights = photographs(np.random.default_rng(0), gamma=1)
     exact = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ)
 
@@ -251,7 +252,7 @@ def test_only_what_the_rig_calls_for_is_in_the_likelihood():
     assert "pow" in operations(encoded)
 
 
-def test_what_cannot_be_used_is_said_in_one_sentence():
+def test_unusable_measurements_are_refused_in_one_sentence():
     images, lights = photographs(np.random.default_rng(0))
     with pytest.raises(InputError, match="values of intensity_sd for 7 images"):
         from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=[0.01, 0.02])
@@ -268,7 +269,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence():
 
 
 def rig_folder(folder, images, lights, flat, dark):
-    """The same measurement as files."""
+    """Write the same measurement as files."""
     text = f"[camera]\nbits = 12\nblack_level = {BLACK}\nblack_sd = 0.5\nprnu_sd = 0\n"
     text += f"[geometry]\nsphere = {{centre = [{CENTRE}, {CENTRE}], radius = {RADIUS}}}\n"
     for i, (image, light) in enumerate(zip(images, lights, strict=True)):
@@ -290,7 +291,7 @@ def uniform(rng, electrons):
     return list(np.round(BLACK + GAIN * light).astype(np.uint16))
 
 
-def test_images_in_memory_are_those_of_files(tmp_path):
+def test_images_in_memory_equal_files(tmp_path):
     rng = np.random.default_rng(1)
     images, lights = photographs(rng, gamma=1)
     flat, dark = uniform(rng, 4000), uniform(rng, 0)
@@ -342,7 +343,7 @@ def test_the_command_writes_report_results_and_chains(tmp_path):
     best = read_material(tmp_path / "out" / "material.toml")
     assert isinstance(best, Phong)
     for name in ("diffuse", "specular", "exponent"):
-        # the mode, where the report has the median of draws
+        # the mode, where the report gives the median of draws
         apart = float(np.ravel(getattr(best, name))[0]) - found[name]["value"]
         assert abs(apart) < 0.1 * found[name]["standard_error"]
     many = read_material(tmp_path / "out" / "material.toml", draws=200)
@@ -353,7 +354,7 @@ def test_the_command_writes_report_results_and_chains(tmp_path):
 
 
 def z_scores(calibration, truth):
-    """Distance of each parameter from its truth in standard deviations of the posterior."""
+    """Return the error of each parameter in standard deviations of the posterior."""
     posterior = calibration.posteriors["grey"]
     known = [parameter for parameter in posterior.space if parameter.name in truth]
     places = [names(posterior.space).index(parameter.name) for parameter in known]
@@ -364,8 +365,8 @@ def z_scores(calibration, truth):
 
 @pytest.mark.slow
 def test_a_simulated_lab_is_recovered_with_its_errors():
-    """Surface, encoding, sensor and the sizes of all four shared errors, within four standard
-    deviations of each; the pixels agree with the noise."""
+    """Surface, encoding, sensor and the sizes of all four shared errors are within four standard
+    deviations, and the pixels agree with the noise."""
     images, lights = photographs(
         np.random.default_rng(2), turn=0.005, stray=0.002, prnu=0.01, gamma=1
     )
@@ -388,13 +389,14 @@ def test_a_simulated_lab_is_recovered_with_its_errors():
 
 
 @pytest.mark.slow
-def test_a_width_that_few_lights_tell_has_their_degrees_of_freedom():
-    """k_d, which is blurred by the lights' common error and by little else, has little more than
-    the scale of the errors has; what the lights' strengths do not reach has many."""
+def test_an_interval_from_few_lights_has_their_degrees_of_freedom():
+    """k_d depends on the lights' common error and on little else, so it has few more degrees of
+    freedom than the scale of these errors. Parameters that do not depend on the lights' strengths
+    have many."""
     images, lights = photographs(np.random.default_rng(5))
     found = calibrate(from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=0.01))
     (fit,), posterior = found.fits, found.posteriors["grey"]
-    assert posterior.method == "importance sampling"  # which Laplace's Gaussian would not show
+    assert posterior.method == "importance sampling"  # Laplace's Gaussian would not show it
     covariance = np.linalg.inv(fit.information)
     degrees = degrees_of_freedom(fit, covariance)
     assert degrees is not None
@@ -403,13 +405,13 @@ def test_a_width_that_few_lights_tell_has_their_degrees_of_freedom():
     assert laplace_miss(fit, covariance)[scale] > TOLERATED
     of_scale = 1 / (2 * covariance[scale, scale])
     assert of_scale < freedom["diffuse"] < 2 * of_scale
-    assert 4 < of_scale < 12  # six lights, and the prior
+    assert 4 < of_scale < 12  # from six lights and the prior
     assert freedom["exponent"] > 100
     assert freedom["black_level"] > 100
 
 
 @pytest.mark.slow
-def test_flats_and_darks_sharpen_gain_read_noise_and_black():
+def test_flats_and_darks_reduce_errors_of_gain_read_noise_and_black():
     rng = np.random.default_rng(5)
     images, lights = photographs(rng, gamma=1)
     camera = Camera(bits=12, black_level=BLACK, black_sd=0.5)
@@ -429,7 +431,7 @@ def test_flats_and_darks_sharpen_gain_read_noise_and_black():
 
 
 def large_ball(rng, **of_surface):
-    """A measurement with many pixels to a degree of the normal, under exact lights."""
+    """Return a measurement with many pixels per degree of the normal, under exact lights."""
     size = 120
     images, lights = photographs(rng, scatter=0.0, gamma=1, size=size, **of_surface)
     sphere = SphereGeometry(centre=((size - 1) / 2, (size - 1) / 2), radius=0.45 * size)
@@ -438,9 +440,9 @@ def large_ball(rng, **of_surface):
 
 
 @pytest.mark.slow
-def test_cells_are_wide_but_for_highlights_and_the_ends_of_the_scale():
-    """Every pixel has one cell in an image; within a divided image no wide cell sees the lobe vary
-    by more than a twentieth of its peak, and the finest are those of the width."""
+def test_cells_are_wide_except_in_highlights_and_near_saturation():
+    """Every pixel is in one cell of an image. In a divided image, the lobe varies within a wide
+    cell by at most a twentieth of its peak, and the finest cells have the given width."""
     measurement = large_ball(np.random.default_rng(4), exponent=200.0)
     of = measurement
     reference = TRUTH | {"diffuse": DIFFUSE, "exponent": 200.0}
@@ -469,9 +471,9 @@ def test_cells_are_wide_but_for_highlights_and_the_ends_of_the_scale():
 
 
 @pytest.mark.slow
-def test_wide_cells_say_what_fine_ones_say():
-    """Estimates within a quarter of a standard deviation and widths within a tenth of those of
-    cells that are everywhere as fine as the highlight asks for, with a third of the cells."""
+def test_wide_cells_give_the_results_of_fine_ones():
+    """The estimates agree within a quarter of a standard deviation, and their errors within a
+    tenth, with a third of the cells of a uniformly fine division."""
     measurement = large_ball(np.random.default_rng(4), exponent=100.0)
     fits = []
     for widest in (0.05, 0.0):
@@ -488,8 +490,8 @@ def test_wide_cells_say_what_fine_ones_say():
 
 
 @pytest.mark.slow
-def test_a_surface_that_is_not_the_models_is_no_noise():
-    """A body that falls as the cosine to the power 1.2."""
+def test_a_misfit_of_the_surface_is_not_attributed_to_noise():
+    """The body falls as the cosine to the power 1.2."""
     measurement = large_ball(np.random.default_rng(5), body=1.2)
     found = calibrate(measurement)
     (fit,) = found.fits
@@ -504,9 +506,9 @@ def test_a_surface_that_is_not_the_models_is_no_noise():
 
 
 @pytest.mark.slow
-def test_cells_of_many_pixels_say_what_the_pixels_say():
-    """Where every pixel is lit by every light, cells half as wide as the lobe have the mode and
-    the widths of single pixels."""
+def test_cells_of_many_pixels_give_the_results_of_pixels():
+    """If every pixel is lit by every light, cells half as wide as the lobe give the mode and the
+    standard deviations of single pixels."""
     images, lights = photographs(np.random.default_rng(7), exponent=4.0, scatter=0.0)
     row, column = np.indices((SIZE, SIZE))
     given = BALL | {
@@ -529,10 +531,10 @@ def test_cells_of_many_pixels_say_what_the_pixels_say():
 
 
 @pytest.mark.slow
-def test_intervals_of_a_misfit_hold_what_other_images_say():
-    """A body that falls as the cosine to the power 1.2, under lights that err by 3 % without a word
-    of the rig: fits to disjoint halves of 16 images differ by what their intervals allow, where
-    the inverse information allows a fraction of it."""
+def test_intervals_with_a_misfit_cover_the_results_of_other_images():
+    """The body falls as the cosine to the power 1.2, and the lights have unstated errors of 3 %.
+    Fits to disjoint halves of 16 images differ by what their intervals allow, but by more than the
+    inverse information allows."""
     images, lights = photographs(
         np.random.default_rng(8), lights=17, scatter=0.03, gamma=1, size=80, body=1.2
     )
@@ -566,9 +568,10 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
 @pytest.mark.slow
 @pytest.mark.parametrize("waves", [0.0, 0.05])
 @pytest.mark.parametrize("prnu", [0.0, 0.01])
-def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prnu):
-    """Each pixel alone in its cell: gain and read noise take waves over each image for photons, so
-    that chi-square is 1; the images' scores tell, and the intervals cover the truth."""
+def test_structure_shared_by_cells_is_not_attributed_to_sensor_noise(waves, prnu):
+    """Each pixel has its own cell. Gain and read noise absorb waves over each image as photon
+    noise, so chi-square is 1. The scores of the images reveal them, and the intervals cover the
+    true values."""
     lab = Lab(Sphere(prnu=prnu), gamma=1.0)
     rng = np.random.default_rng(3)
     seen = photographed(lab, 3)
@@ -590,13 +593,13 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
     )
     off = fit.vector[own] - truth
     assert np.sqrt(np.mean((off / wider) ** 2)) < 1.6
-    assert (wider > 1.5 * alone)[[0, 2]].all()  # of k_s, gain and read noise tell as much
+    assert (wider > 1.5 * alone)[[0, 2]].all()  # gain and read noise affect k_s as much
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("together", [False, True])
-def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
-    """The angles of the lights have their axis of images last."""
+def test_images_with_rotated_lights_are_judged_one_by_one(together):
+    """The last axis of the angles of the lights is that of images."""
     lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
     measurement = photographed(lab, 0)
     if together:
@@ -615,8 +618,8 @@ def test_images_whose_lights_were_turned_are_judged_one_by_one(together):
 
 
 @pytest.mark.slow
-def test_halves_of_the_images_are_fitted_and_told():
-    """Two surfaces in turns under unequal lights, fitted as one."""
+def test_halves_of_the_images_are_fitted_and_reported():
+    """Images of two surfaces alternate, under lights with errors, and are fitted as one surface."""
     given: dict[str, Any] = {"scatter": 0.03, "gamma": 1, "size": 80, "lights": 17}
     truth = (12.0, 60.0)
     images, others = (
@@ -647,7 +650,8 @@ def test_halves_of_the_images_are_fitted_and_told():
 
 @pytest.mark.slow
 def test_a_fit_left_with_few_cells_has_not_converged(monkeypatch):
-    """As many cells as parameters leave no degree of freedom: chi-square was divided by 0."""
+    """With as many cells as parameters there is no degree of freedom, and chi-square would be
+    divided by 0."""
     images, lights = photographs(np.random.default_rng(0), lights=5, gamma=1, size=40)
     measured = from_photographs(
         images,
@@ -696,7 +700,7 @@ def test_images_that_disagree_are_checked_by_their_halves(deviations, told):
 
 
 @pytest.mark.parametrize("effect", [1.02, 2.0])
-def test_scores_that_are_larger_by_less_than_a_word_shows_are_not_said(effect):
+def test_insignificantly_larger_scores_are_not_reported(effect):
     robust = SimpleNamespace(design_effect=effect, gaussian_covariance=effect * np.eye(3))
     of_fit = {"posteriors": {"grey": ()}, "robust": {"grey": robust}, "halves": {}}
     rows = [row for row in OF_CHANNEL if row.key == "images disagree"]
@@ -705,8 +709,8 @@ def test_scores_that_are_larger_by_less_than_a_word_shows_are_not_said(effect):
     assert len(told) == (effect > 1.1)
 
 
-def test_halves_that_differ_are_two_random_groups():
-    """The variance of a mean by two groups is a quarter of their squared difference (Wolter)."""
+def test_halves_that_differ_count_as_two_random_groups():
+    """The variance of a mean from two groups is a quarter of their squared difference (Wolter)."""
     rng = np.random.default_rng(2)
     covariance = np.diag(rng.uniform(1, 2, 3)) * 1e-4
     robust = Robustness(covariance, np.full(3, np.inf), (math.nan, math.nan), 1.0)
@@ -725,7 +729,7 @@ def test_halves_that_differ_are_two_random_groups():
 @pytest.mark.sweep
 @pytest.mark.parametrize(("prnu", "stated"), [(0.0, None), (0.0, 0.0), (0.01, None)])
 def test_pixels_of_unequal_gains_are_named(prnu, stated):
-    """Their size, from a fit that takes pixels for alike."""
+    """The size of the PRNU is estimated from a fit that assumes equal pixels."""
     rng = np.random.default_rng(12)
     images, lights = photographs(rng, lights=4, scatter=0.0, gamma=1, size=90, prnu=prnu)
     given: dict[str, Any] = {

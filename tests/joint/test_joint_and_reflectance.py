@@ -1,5 +1,5 @@
-"""The same photographs of a sphere, whose camera is known, get one verdict and equal intervals from
-both calibrations."""
+"""Tests that both calibrations give the same verdict and equal intervals for photographs of a
+sphere with a known camera."""
 
 from dataclasses import replace
 
@@ -33,8 +33,9 @@ def both(sphere, seed):
 
 
 @pytest.mark.slow
-def test_lights_that_err_as_much_as_pixels_do_widen_both_intervals_alike():
-    """Of .1 %, which no test of 12 images sees: by pixels alone k_d had 60 % of its error."""
+def test_light_errors_as_large_as_pixel_errors_widen_both_intervals():
+    """The light errors of .1 % are not detectable in 12 images. From pixels alone, k_d would have
+    60 % of its error."""
     together, alone = both(Sphere(light_sd=0.001), 0)
     for name in ("diffuse", "specular", "exponent"):
         one, other = (find(c.section.estimates, name) for c in (together, alone))
@@ -52,7 +53,7 @@ def test_the_reflectance_calibration_says_that_it_uses_no_flats():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("light_sd", [0.0, 0.01])
-def test_both_say_alike_whether_images_disagree(light_sd):
+def test_both_agree_whether_images_disagree(light_sd):
     together, alone = both(Sphere(light_sd=light_sd), 1)
     (fit,) = alone.chosen_fits
     assert (fit.design_effect > 1) == (together.robust["grey"].design_effect > 1) == (light_sd > 0)
@@ -60,10 +61,10 @@ def test_both_say_alike_whether_images_disagree(light_sd):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lights", [6, 12])
-def test_intervals_hold_where_lights_err_as_much_as_pixels_do(lights):
-    """60 fits, 95 % intervals of k_d: by pixels alone 78 % held."""
+def test_intervals_cover_with_light_errors_as_large_as_pixel_errors(lights):
+    """From pixels alone, 78 % of the 95 % intervals of k_d would cover. Here there are 60 fits."""
     sphere, held = Sphere(lights=lights, light_sd=0.001), 0
     for seed in range(60):
         found = find(joint.calibrate(seen(sphere, seed)).section.estimates, "diffuse")
         held += found.interval_95[0] < sphere.truth[0] < found.interval_95[1]
-    assert held >= 52  # below with a chance of 1 %
+    assert held >= 52  # fails with a chance of 1 %

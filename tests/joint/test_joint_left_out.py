@@ -1,4 +1,5 @@
-"""Errors of a rig that no fit can tell: their bound by pixels in NumPy, and what is traced."""
+"""Tests stated errors that are negligible in a fit: their bound from pixels in NumPy, and what is
+traced."""
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,8 @@ from fitting.rig import Camera
 
 
 @pytest.mark.slow
-def test_an_error_too_small_to_tell_is_left_out_of_the_likelihood():
-    """The bound by the pixels one by one; nothing of the error is traced, and the report lists
+def test_a_negligible_error_is_left_out_of_the_likelihood():
+    """The bound equals the one from single pixels. The error is not traced, and the report lists
     it."""
     images, lights = photographs(np.random.default_rng(0), gamma=1, scatter=0.0)
     exact = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ)

@@ -1,4 +1,5 @@
-"""The joint posterior, its shared errors integrated out, against draws of all of them by NUTS."""
+"""Tests the joint posterior, with shared errors marginalised, against NUTS draws of all parameters
+and errors."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ pytest.importorskip("blackjax")
 
 
 def of_all(vector, data):
-    """Log density with the relative error of each light as a parameter of its own."""
+    """Return the log density with the relative error of each light as a parameter."""
     theta, errors = jnp.split(vector, [len(data.space)])
     values, cells = values_at(theta, data), data.cells
     model = predicted(values, data, cells)
@@ -34,7 +35,8 @@ def of_all(vector, data):
 
 
 def light_errors(vector, data):
-    """Means and standard deviations of the lights' relative errors given all else."""
+    """Return means and standard deviations of the lights' relative errors given all other
+    parameters."""
     values = values_at(vector, data)
     model = predicted(values, data, data.cells)
     weight = weights(data.cells, model)
@@ -45,8 +47,8 @@ def light_errors(vector, data):
 
 
 @pytest.mark.slow
-def test_draws_without_the_errors_of_lights_are_those_with_them():
-    """emcee of the marginal density against NUTS of the whole."""
+def test_marginal_draws_equal_those_with_the_lights_errors():
+    """emcee samples the marginal density, and NUTS the full one."""
     images, lights = photographs(np.random.default_rng(0), lights=13)
     camera = Camera(
         bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd=0.5,

@@ -1,5 +1,5 @@
-"""Lights off by a degree, which the rig says: a joint fit turns them to where their images put
-them."""
+"""Tests joint fits with stated errors of light directions of one degree, which are estimated from
+the images."""
 
 import numpy as np
 import pytest
@@ -19,15 +19,15 @@ CAMERA = Camera(
 
 
 def off(lights, rng):
-    """The same, each off by so much along two axes across it."""
+    """Return the directions with random errors along two axes perpendicular to each."""
     step = SD * rng.standard_normal(lights.shape)
     moved = lights + step - np.sum(step * lights, axis=1, keepdims=True) * lights
     return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def photographed(lights, rng):
-    """(lights, SIZE, SIZE) DN of a sphere of Phong's paint."""
-    nodes, shares = np.polynomial.legendre.leggauss(4)  # places within a pixel, along each side
+    """Return photographs of a Phong sphere in DN, (lights, SIZE, SIZE)."""
+    nodes, shares = np.polynomial.legendre.leggauss(4)  # positions in a pixel, along each side
     at = (np.arange(SIZE)[:, None] + nodes / 2).ravel() - (SIZE - 1) / 2
     row, column = np.meshgrid(at, at, indexing="ij")
     x, y = column / RADIUS, -row / RADIUS
@@ -43,8 +43,8 @@ def photographed(lights, rng):
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
-def test_lights_off_by_a_degree_are_turned_and_leave_no_bias(seed):
-    """Left where the rig put them, k_s and exponent were 6 standard errors off."""
+def test_light_directions_wrong_by_a_degree_are_estimated_without_bias(seed):
+    """With the stated directions, k_s and the exponent were biased by 6 standard errors."""
     rng = np.random.default_rng(seed)
     lights = light_directions(12, seed=rng)
     actual = off(lights, rng)

@@ -1,4 +1,5 @@
-"""Lamps by their measured distribution, and spots: closed forms, quadrature, and their samplers."""
+"""Tests lamps with measured distributions, and spots, against closed forms and quadrature, and
+their samplers."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ UP = jnp.array([0.0, 0.0, 1.0])
 
 
 def lobed(system="C"):
-    """A distribution with another value at every node."""
+    """Return a distribution with a different value at every node."""
     rng = np.random.default_rng(0)
     vertical = np.radians([0, 10, 25, 60, 90, 140] if system == "C" else [-90, -40, 0, 15, 90])
     horizontal = np.radians([0, 40, 130, 270, 360] if system == "C" else [-90, -20, 30, 90])
@@ -26,9 +27,9 @@ def lobed(system="C"):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("system", "CBA")
-def test_the_flux_is_the_integral_of_what_arrives(system):
-    """Over a sphere about the lamp, cell by cell of the angles between the nodes, by NumPy's own
-    bilinear formula of the directions' angles by arcsin and arctan."""
+def test_the_flux_is_the_integral_of_the_irradiance(system):
+    """The reference integrates over a sphere around the lamp, cell by cell between the nodes, with
+    a bilinear formula in NumPy and angles by arcsin and arctan."""
     table, vertical, horizontal = lobed(system)
     lamp = jv.GoniometricLight([0.0] * 3, [2.0, 3.0], table, vertical, horizontal, system=system)
     x, w = np.polynomial.legendre.leggauss(8)
@@ -72,8 +73,8 @@ def test_the_intensity_at_a_node_and_between_is_bilinear():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("falloff", ["smooth", "smoothstep", "linear"])
-def test_a_spot_sends_what_its_formula_integrates_to(falloff):
-    """The flux through the sphere about it in closed form, and by its own emitted rays."""
+def test_a_spot_emits_the_integral_of_its_formula(falloff):
+    """The flux is checked against its closed form, and through the sphere by emitted rays."""
     inner, outer = np.radians([20.0, 50.0])
     spot = jv.SpotLight([0.0] * 3, [0.6, 0, 0.8], [5.0], inner, outer, falloff=falloff)
     c, d = np.cos([inner, outer])
@@ -88,7 +89,7 @@ def test_a_spot_sends_what_its_formula_integrates_to(falloff):
         5 * 2 * np.pi * integrate.quad(lambda t: np.sin(t) * share(t), 0, outer, points=[inner])[0]
     )
     if falloff != "linear":
-        mean = 1 / 3 if falloff == "smooth" else 1 / 2  # of the intensity between the cones
+        mean = 1 / 3 if falloff == "smooth" else 1 / 2  # mean between the cones
         assert flux == pytest.approx(10 * np.pi * (1 - c + (c - d) * mean), rel=1e-9)
     u = jnp.asarray(np.random.default_rng(1).random((20_000, 4)))
     rays = jax.vmap(lambda u: lights.emitted(spot, u, around=None))(u)
@@ -101,8 +102,9 @@ def test_a_spot_sends_what_its_formula_integrates_to(falloff):
 
 
 @pytest.mark.slow
-def test_an_opening_is_a_point_from_afar_and_its_light_near_by():
-    """At 100 m the same as a point; near by the sum over 200 x 200 points of the opening."""
+def test_an_opening_is_a_point_from_afar_and_an_area_nearby():
+    """At 100 m it equals a point light. Nearby it equals the sum over 200 x 200 points of the
+    opening."""
     table = np.array([[1.0, 0.8, 1.0], [0.7, 0.9, 0.7], [0, 0, 0]])
     angles = np.radians([0, 40, 90]), np.radians([0, 180, 360])
     lamp = jv.GoniometricAreaLight([-0.5, 0.3, 2], [1, 0, 0], [0, -0.6, 0], [4.0], table, *angles)
@@ -119,7 +121,7 @@ def test_an_opening_is_a_point_from_afar_and_its_light_near_by():
     arriving = each(jnp.asarray(places))
     expected = (arriving.irradiance[:, 0] * arriving.direction[:, 2]).mean()
     np.testing.assert_allclose(jv.irradiance(lamp, near, UP, rule=rule)[0], expected, rtol=2e-4)
-    # what a ray sees, over the directions of the sampler, is the same light
+    # the radiance along rays, over the directions of the sampler, is the same light
     rule = jv.MonteCarlo(jax.random.key(0), 4096)
     np.testing.assert_allclose(jv.irradiance(lamp, near, UP, rule=rule)[0], expected, rtol=0.01)
     wi = lights.direction_sample(lamp, near, jnp.array([0.3, 0.6]))
@@ -133,7 +135,7 @@ def test_an_opening_is_a_point_from_afar_and_its_light_near_by():
     assert float(rays.mean()) == pytest.approx(flux, abs=4 * float(rays.std()) / 200)
 
 
-def test_what_no_lamp_is_is_named():
+def test_impossible_lamps_are_named():
     even = np.ones((2, 1))
     with pytest.raises(ValueError, match=r"SpotLight.inner must be below outer"):
         jv.SpotLight([0.0] * 3, [0, 0, 1], [1.0], 0.5, 0.4)
@@ -164,7 +166,7 @@ def test_what_no_lamp_is_is_named():
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_a_lamp_that_is_dark_along_its_plane_has_a_bound(dtype):
-    """The 90 degrees of a file are above pi / 2 in float32."""
+    """The 90 degrees of a file exceed pi / 2 in float32."""
     candela = np.array([170.0, 140, 60, 0])
     angles = np.radians([0.0, 30, 60, 90])
     with jax.enable_x64(dtype == jnp.float64):
@@ -172,5 +174,5 @@ def test_a_lamp_that_is_dark_along_its_plane_has_a_bound(dtype):
         numbers = (jnp.asarray(x, dtype) for x in ([1.0], candela[:, None], angles, [0.0]))
         lamp = jv.GoniometricAreaLight(*sizes, *numbers)
         found = float(_largest_radiance(lamp)[0])
-    brightest = (candela[:3] / np.cos(angles[:3])).max() / 0.3**2  # at the file's own angles
+    brightest = (candela[:3] / np.cos(angles[:3])).max() / 0.3**2  # at the file's angles
     assert brightest <= found < 3 * brightest

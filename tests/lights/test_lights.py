@@ -1,4 +1,5 @@
-"""Inverse square, constancy, and the point that is the light itself."""
+"""Tests point, directional and small lights: the inverse-square law, constancy, and the light at
+its own position."""
 
 import re
 
@@ -41,7 +42,8 @@ def test_directional_light_is_the_same_everywhere_whatever_its_length():
 
 
 def test_small_light_falls_with_its_cosine_and_the_square_of_the_distance():
-    """Against plain NumPy at many places, those behind it dark; its normal may have any length."""
+    """The reference is plain NumPy at many points. Points behind the light are dark, and its normal
+    may have any length."""
     position, normal = np.array([0.3, -0.2, 2.0]), np.array([0.5, 1.0, -2.0])
     points = np.random.default_rng(4).uniform(-3, 3, (200, 3))
     light = SmallLight(position, normal, [4.0, 8.0])
@@ -72,7 +74,8 @@ def test_at_the_light_itself_everything_is_zero(dtype, kind):
 
 
 def test_each_pixel_draws_its_own_samples_by_the_same_rule():
-    """A pixel's key is the render's, folded with its number; the kind of rule stays."""
+    """A pixel's key is the render's key folded with the pixel's number, and the type of rule is
+    unchanged."""
     key = jax.random.key(3)
     for kind in (MonteCarlo, Balanced):
         first, second = (rule_for(kind(key, 4), jnp.asarray(i)) for i in (0, 1))
@@ -85,9 +88,9 @@ def test_each_pixel_draws_its_own_samples_by_the_same_rule():
         Balanced(key, 0)
 
 
-def test_rays_of_a_small_light_carry_its_flux_by_the_cosine():
-    """The integral of I cos(theta) over the half space, and its part within 45 degrees, by
-    quadrature; the rays are drawn evenly."""
+def test_rays_of_a_small_light_carry_its_flux():
+    """The flux is the integral of I cos(theta) over the half space, in total and within 45 degrees,
+    by quadrature. The rays are distributed uniformly."""
     normal = np.array([0.6, 0.0, -0.8])
     lamp = SmallLight([0.2, 0, 1.0], 2 * normal, [3.0, 1.5])
     k = (np.arange(8) + 0.5) / 8
@@ -104,9 +107,9 @@ def test_rays_of_a_small_light_carry_its_flux_by_the_cosine():
 
 
 @pytest.mark.slow
-def test_any_number_of_lamps_of_one_kind_is_one_program():
-    """The nearest of many lamps is that of a plain loop over them, and a scene of 60 lamps has as
-    many operations that compute as one of 20: only the stacking of their numbers grows."""
+def test_any_number_of_lamps_of_one_type_is_one_program():
+    """The nearest of many lamps equals that of a plain loop, and a scene of 60 lamps has as many
+    computing operations as one of 20. Only the stacking of their parameters grows."""
     rng = np.random.default_rng(0)
 
     def lamps(count):
@@ -123,7 +126,7 @@ def test_any_number_of_lamps_of_one_kind_is_one_program():
     met = 0
     for ray in rays:
         each = [alone(light, ray) for light in many]
-        first = min(float(seen.distance) for seen in each)  # what is at infinity adds up
+        first = min(float(seen.distance) for seen in each)  # lights at infinity add up
         radiance = sum(float(seen.radiance[0]) for seen in each if float(seen.distance) == first)
         found = nearest(many, ray)
         np.testing.assert_allclose(found.distance, first)

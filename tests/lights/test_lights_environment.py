@@ -1,4 +1,5 @@
-"""The environment map: which way it looks, its samples against its density, its irradiance."""
+"""Tests the environment map: its orientation, its samples against their density, and its
+irradiance."""
 
 from functools import cache
 
@@ -32,12 +33,12 @@ def toward(theta, phi):
 
 
 def pixel(row, column):
-    """Direction of a pixel's centre, from the convention in words."""
+    """Return the direction of a pixel's centre, from the documented convention."""
     return toward(np.pi * (row + 0.5) / H, np.pi - 2 * np.pi * (column + 0.5) / W)
 
 
 def sphere(polar, azimuths):
-    """Directions and weights over the whole sphere."""
+    """Return directions and weights over the whole sphere."""
     up, weights = product_nodes(polar, azimuths)
     return np.concatenate([up, up * [1, 1, -1]]), np.concatenate([weights, weights])
 
@@ -50,9 +51,9 @@ def test_pixel_centres_are_the_samples(row, column):
 
 
 def test_orientation():
-    """Middle column +x, a quarter of the width to the left +y, top row +z."""
+    """The middle column is +x, a quarter of the width to the left +y, and the top row +z."""
     picture = np.zeros((H, W, 1))
-    picture[3:5, 7:9] = 1  # about the middle
+    picture[3:5, 7:9] = 1  # around the centre
     np.testing.assert_allclose(look(environment_map(picture), np.eye(3)[0]), 1, rtol=1e-12)
     left = np.roll(picture, -W // 4, axis=1)
     np.testing.assert_allclose(look(environment_map(left), np.eye(3)[1]), 1, rtol=1e-12)
@@ -61,8 +62,8 @@ def test_orientation():
     np.testing.assert_allclose(look(environment_map(top), np.eye(3)[2]), 1, rtol=1e-12)
 
 
-def test_rotation_turns_the_map():
-    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the map's x axis is the world's z
+def test_rotation_rotates_the_map():
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the map's x axis is the world's z axis
     turned = environment_map(PICTURE, rotation=turn)
     for d in (toward(0.4, 1.0), toward(2.0, -2.0)):
         np.testing.assert_allclose(look(turned, turn.T @ d), look(painted(), d), rtol=1e-12)
@@ -71,7 +72,7 @@ def test_rotation_turns_the_map():
         np.testing.assert_allclose(drawn, turn.T @ straight, rtol=1e-12)
 
 
-def test_no_seam_and_no_jump_across_the_poles():
+def test_no_discontinuity_at_the_seam_and_the_poles():
     for angle in (0.1, 1.3, 2.9):
         a, b = toward(angle, np.pi - 1e-9), toward(angle, -np.pi + 1e-9)
         np.testing.assert_allclose(look(painted(), a), look(painted(), b), rtol=1e-6)
@@ -84,7 +85,8 @@ def test_no_seam_and_no_jump_across_the_poles():
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
 def test_samples_follow_their_density(kind):
-    """Chi-square over the pixels; the density integrates to 1; radiance / density is the weight."""
+    """A chi-square test over the pixels. The density integrates to 1, and radiance / density is the
+    weight."""
     picture = PICTURE
     if kind == "one bright pixel":
         picture = (
@@ -124,8 +126,8 @@ def test_samples_follow_their_density(kind):
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("peak", [5e5, 1e7, 1e9])
-def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
-    """Every uniform float32, one by one: 2^23 of them, the multiples of 2^-23."""
+def test_a_sun_in_float32_is_drawn_by_its_density(peak):
+    """All 2^23 uniform float32 numbers, the multiples of 2^-23, are tried."""
     h, w, row, column = 256, 512, 50, 300
     picture = np.ones((h, w, 1), np.float32)
     picture[row, column] = peak
@@ -134,7 +136,7 @@ def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
     u = np.arange(2**23, dtype=np.float32) * np.float32(2**-23)
 
     def drawn(table):
-        """The part of all uniform floats that falls into each cell."""
+        """Return the share of all uniform floats in each cell."""
         cell = np.searchsorted(np.asarray(table), u, side="right") - 1
         return np.bincount(cell, minlength=len(table) - 1) / 2**23
 
@@ -148,7 +150,7 @@ def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
         here = rows[i] * drawn(sky.columns[i])
         assert here.min() > 0
         np.testing.assert_allclose(said[i], here, rtol=1e-6)
-    # bilinear, a pixel keeps 3/4 along each axis of its own light
+    # bilinear interpolation leaves a pixel 3/4 of its own light along each axis
     power = 4 * np.pi + peak * solid_angle[row]
     assert (1 / density).max() < 1.01 * power
     assert (0.75**2 * peak + 1) / density[row, column] < 1.02 * power
@@ -156,8 +158,8 @@ def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [8, 16, 64])
-def test_white_sky_is_pi_within_what_quadrature_states(order):
-    """1 / order^2, the default order among them: the sky crosses the receiver's horizon."""
+def test_a_white_sky_gives_pi_within_the_stated_error(order):
+    """The error is at most 1 / order^2, because the sky crosses the receiver's horizon."""
     white = environment_map(np.full((H, W, 1), 2.0))
     for normal in (toward(0.0, 0.0), toward(0.7, 0.3), toward(np.pi / 2, 1.0)):
         got = irradiance(white, POINT, normal, rule=Quadrature(order))
@@ -167,7 +169,7 @@ def test_white_sky_is_pi_within_what_quadrature_states(order):
 @pytest.mark.slow
 def test_rules_agree_under_a_rough_sky():
     normal = toward(0.7, 0.3)
-    # a hemisphere rule, blind to the library's own nodes, over the rough sky
+    # a hemisphere rule, independent of the library's nodes, for the rough sky
     nodes, weights = sphere(200, 400)
     radiance = jax.vmap(lambda d: look(painted(), d))(jnp.asarray(nodes))
     cosine = np.maximum(nodes @ np.asarray(normal), 0)
@@ -185,8 +187,8 @@ def test_harmonics_are_orthonormal():
 
 
 def test_irradiance_by_harmonics_is_exact_for_a_smooth_sky():
-    """L = 2 + x - 0.5 (3 z^2 - 1): cos+ has the coefficients pi, 2 pi / 3, pi / 4 (Ramamoorthi and
-    Hanrahan, eq. 8), so E = 2 pi + 2 pi / 3 x - pi / 8 (3 z^2 - 1)."""
+    """For L = 2 + x - 0.5 (3 z^2 - 1), the coefficients of cos+ are pi, 2 pi / 3 and pi / 4
+    (Ramamoorthi and Hanrahan, eq. 8), so E = 2 pi + 2 pi / 3 x - pi / 8 (3 z^2 - 1)."""
     h, w = 128, 256
     theta, phi = np.pi * (np.arange(h) + 0.5) / h, np.pi - 2 * np.pi * (np.arange(w) + 0.5) / w
     x = np.sin(theta)[:, None] * np.cos(phi)
@@ -199,8 +201,9 @@ def test_irradiance_by_harmonics_is_exact_for_a_smooth_sky():
 
 
 @pytest.mark.slow
-def test_error_of_harmonics_stays_within_the_stated_bound():
-    """One bright pixel, the worst case, seen at every angle: 3/32 of its power, at its horizon."""
+def test_error_of_harmonics_is_within_the_stated_bound():
+    """The worst case is one bright pixel. Over all angles the error is at most 3/32 of its power,
+    at its horizon."""
     picture = np.zeros((64, 128, 1))
     picture[32, 64] = 1e4
     sky = environment_map(picture)
@@ -222,7 +225,7 @@ def test_error_of_harmonics_stays_within_the_stated_bound():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
-def test_environment_files_go_there_and_back(tmp_path, suffix):
+def test_environment_files_are_read_back(tmp_path, suffix):
     picture = np.asarray(RNG.uniform(0.1, 5, size=(4, 8, 3)), np.float32)
     write_image(tmp_path / f"sky{suffix}", picture)
     read = read_environment(tmp_path / f"sky{suffix}")
@@ -242,7 +245,7 @@ def test_environment_files_go_there_and_back(tmp_path, suffix):
         (np.full((4, 8), np.nan, np.float32), "a.exr", "32 of its values .* not finite"),
     ],
 )
-def test_files_that_are_no_environment_are_named(tmp_path, picture, name, message):
+def test_files_that_are_not_environments_are_refused(tmp_path, picture, name, message):
     write_image(tmp_path / name, picture)
     with pytest.raises(InputError, match=message):
         read_environment(tmp_path / name)
@@ -262,14 +265,14 @@ def test_wrong_shapes_are_named():
 @pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(16, 16, 1), (24, 18, 1), (18, 24, 1)])
 def test_pictures_in_another_projection_are_named(shape):
-    """A light probe is square, the cross of a cube 3 by 4 or 4 by 3."""
+    """A light probe is square, and a cube cross 3 by 4 or 4 by 3."""
     with pytest.warns(UserWarning, match="as a light probe or a cross of a cube has"):
         environment_map(np.ones(shape))
     environment_map(np.ones((16, 30, 1)))
 
 
 @pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
-def test_values_that_are_no_radiance_are_named(wrong):
+def test_values_that_are_not_radiance_are_named(wrong):
     picture = PICTURE.copy()
     picture[2, 3, 1] = wrong
     with pytest.raises(ValueError, match=f"finite, at least 0, got {wrong}"):
@@ -279,15 +282,15 @@ def test_values_that_are_no_radiance_are_named(wrong):
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [2.0**124, 2.0**-90])
 def test_probabilities_do_not_depend_on_the_unit(scale):
-    """In float32, where sums of the larger leave its range and those of the smaller its digits."""
+    """In float32, sums of the larger values overflow and those of the smaller ones underflow."""
     picture = (PICTURE / PICTURE.max()).astype(np.float32)
     expected, sky = environment_map(picture), environment_map(picture * np.float32(scale))
     for name in ("rows", "columns", "density"):
         np.testing.assert_array_equal(getattr(sky, name), getattr(expected, name))
 
 
-def test_a_sky_as_bright_as_float32_goes_is_drawn_like_any_other():
-    """XLA may divide by its inverse, which is no normal number there."""
+def test_a_sky_near_the_limit_of_float32_is_drawn_like_others():
+    """XLA may divide by an inverse, which is subnormal here."""
     picture = jnp.asarray(PICTURE, jnp.float32)
     bright = environment_map(picture * (3e38 / picture.max()))
     np.testing.assert_allclose(bright.density, environment_map(picture).density, rtol=1e-5)

@@ -1,5 +1,5 @@
-"""The light field: recorded from a scene it shows that scene again, and it lights what is before
-it."""
+"""Tests the light field: one recorded from a scene shows that scene, and lights the space in front
+of it."""
 
 from functools import partial
 
@@ -13,16 +13,16 @@ from jaxvision.lights import incident_samples, radiance_along
 from jaxvision.lights.light_field import light_field_radiance, light_field_ray, refocus
 from jaxvision.rendering import render_light_field
 
-# A window of 0.4 x 0.4 m in z = 0 that shines toward -z, where the viewer is; the scene is behind,
-# and its focal window at z = 1 m.
+# A window of 0.4 x 0.4 m in z = 0 that shines towards the viewer at -z. The scene is behind it,
+# with the focal window at z = 1 m.
 APERTURE = jv.Window([-0.2, 0.2, 0], [0.4, 0, 0], [0, -0.4, 0])
 FOCAL = jv.Window([-0.8, 0.8, 1], [1.6, 0, 0], [0, -1.6, 0])
 RNG = np.random.default_rng(2)
 
 
 @pytest.mark.slow
-def test_between_samples_it_is_linear_in_all_four():
-    """A radiance that is a product of linear functions is met exactly."""
+def test_interpolation_is_linear_in_all_four_coordinates():
+    """A radiance that is a product of linear functions is reproduced exactly."""
     sizes = (2, 3, 4, 5)
     s, t, u, v = np.meshgrid(*(np.linspace(0, 1, n) for n in sizes), indexing="ij")
 
@@ -48,7 +48,7 @@ MISSES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISSES)
-def test_what_it_does_not_hold_is_dark(name):
+def test_directions_outside_the_windows_are_dark(name):
     field = jv.LightFieldLight(np.ones((2, 2, 2, 2, 1)), APERTURE, FOCAL)
     origin, direction = (jnp.asarray(x, float) for x in MISSES[name])
     ray = jv.Ray(origin, direction / jnp.linalg.norm(direction))
@@ -60,8 +60,8 @@ def test_what_it_does_not_hold_is_dark(name):
 
 
 @pytest.mark.slow
-def test_the_same_in_all_directions_is_a_rectangle_light():
-    """Energy: sample for sample what the uniform rectangle sends, within the field's angles."""
+def test_a_uniform_light_field_is_a_rectangle_light():
+    """Each sample equals that of the uniform rectangle, within the field's angles."""
     wide = jv.Window([-50, 50, 1], [100, 0, 0], [0, -100, 0])
     field = jv.LightFieldLight(np.full((2, 2, 2, 2, 2), 3.0), APERTURE, wide)
     lamp = jv.RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [3.0, 3.0])
@@ -73,7 +73,8 @@ def test_the_same_in_all_directions_is_a_rectangle_light():
 
 
 def behind():
-    """A great ball just beyond the focal window, lit from nearby: smooth enough for few samples."""
+    """Return a large ball just beyond the focal window, lit from nearby, which is smooth enough for
+    few samples."""
     ball = jv.Surface(jv.Sphere([0.1, 0, 3], 2), jv.Lambert([0.3, 0.1], ambient=[0.1, 0.2]))
     return jv.Scene(
         [ball], [jv.PointLight([0.5, 0.3, 0.5], [1.0, 2.0])], jv.AmbientLight([1.0, 1.0])
@@ -92,7 +93,7 @@ def camera(z):
 
 @pytest.mark.slow
 def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
-    """Pixel by pixel what it sees with the window away."""
+    """Each pixel equals the scene seen without the window."""
     elsewhere = jv.Surface(jv.Plane([0, 5, 0], [0, -1, 0]), jv.Lambert([0.0, 0.0]))
     draw = jax.jit(jv.render)
     through = draw(jv.Scene([elsewhere], [recorded]), camera(-0.6))
@@ -102,8 +103,8 @@ def test_a_camera_that_looks_through_the_window_sees_the_scene(recorded):
 
 
 @pytest.mark.slow
-def test_the_window_lights_what_is_before_it(recorded):
-    """Against the scene itself looked at through the same window, place by place."""
+def test_the_window_lights_points_in_front_of_it(recorded):
+    """At each point the reference looks at the scene itself through the same window."""
     point, rule = jnp.asarray([0.1, 0.05, -1.0]), jv.Quadrature(4)
     arriving = incident_samples(recorded, point, rule)
     lamp = jv.RectangleLight(APERTURE.corner, APERTURE.edge_u, APERTURE.edge_v, [1.0, 1.0])
@@ -118,7 +119,7 @@ def test_the_window_lights_what_is_before_it(recorded):
 
 @pytest.mark.slow
 def test_refocusing_keeps_its_plane_sharp_and_blurs_the_others():
-    """A stripe pattern on the focal plane: at that depth the full aperture returns it."""
+    """The focal plane has stripes, which the full aperture resolves at that depth only."""
     u = np.linspace(0, 1, 161)
     stripes = np.broadcast_to((1 + np.sin(2 * np.pi * 20 * u))[:, None, None], (161, 2, 1))
     field = jv.LightFieldLight(np.broadcast_to(stripes, (2, 2, 161, 2, 1)).copy(), APERTURE, FOCAL)
@@ -163,14 +164,14 @@ def test_wrong_shapes_are_named():
         ),
     ],
 )
-def test_windows_that_make_no_light_field_are_named(aperture, focal, message):
+def test_windows_that_cannot_make_a_light_field_are_named(aperture, focal, message):
     with pytest.raises(ValueError, match=message):
         jv.LightFieldLight(np.ones((2, 2, 2, 2, 1)), aperture, focal)
 
 
-def test_windows_far_out_turned_and_traced_are_taken():
-    """Two parallel windows turned by a rotation that is exact in no float, a kilometre away, in
-    float32; and windows that nobody knows yet."""
+def test_distant_rotated_and_traced_windows_are_accepted():
+    """Two parallel windows are rotated by a matrix that floats cannot represent, a kilometre away,
+    in float32. Traced windows are also accepted."""
     axis = np.array([1, 2, 2]) / 3
     turn = 2 * np.outer(axis, axis) - np.eye(3)  # half a turn about the axis
     corners = [turn @ np.array([699.8, 600.2, 400 + z]) for z in (0, 1)]

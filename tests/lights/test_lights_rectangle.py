@@ -1,4 +1,4 @@
-"""The rectangular light: its exact irradiance, its samples, and what lies behind it."""
+"""Tests the rectangular light: its exact irradiance, its samples, and points behind it."""
 
 from functools import partial
 
@@ -32,8 +32,8 @@ def below(height, x=0.0, y=0.0):
 
 
 @pytest.mark.parametrize(("a", "b", "h"), [(1.0, 1.0, 1.0), (0.3, 2.0, 0.7), (3.0, 0.1, 0.05)])
-def test_under_a_corner_it_is_the_catalogues_form_factor(a, b, h):
-    """Howell, A Catalog of Radiation Heat Transfer Configuration Factors, B-4."""
+def test_irradiance_under_a_corner_is_the_catalogues_form_factor(a, b, h):
+    """The reference is Howell, A Catalog of Radiation Heat Transfer Configuration Factors, B-4."""
     x, y = a / h, b / h
     factor = (
         x / np.sqrt(1 + x * x) * np.arctan(y / np.sqrt(1 + x * x))
@@ -58,8 +58,8 @@ def test_quadrature_and_random_samples_find_the_exact_irradiance(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("height", [0.1, 0.25, 1.0, 20.0])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
-def test_the_order_follows_distance_over_size(height, tolerance):
-    """Receivers under the whole light, float64."""
+def test_the_order_depends_on_distance_over_size(height, tolerance):
+    """The receivers are below the whole light, in float64."""
     points = jnp.asarray([[x, y, -height] for x in (0.0, 0.3, 0.5) for y in (0.0, 0.45)])
     order = order_for(LAMP, points, tolerance=tolerance)
     truth = jax.jit(jax.vmap(lambda p: rectangle_irradiance(LAMP, p, UP)[0]))(points)
@@ -74,7 +74,7 @@ def test_the_order_follows_distance_over_size(height, tolerance):
     assert not smaller or worst(smaller[-1]) > tolerance
 
 
-def test_a_rule_takes_a_whole_number():
+def test_the_order_of_a_rule_is_an_integer():
     for wrong in (0, -3, True):
         with pytest.raises(ValueError, match=r"Quadrature\.order must be a whole number of at lea"):
             jv.Quadrature(wrong)
@@ -83,7 +83,7 @@ def test_a_rule_takes_a_whole_number():
 
 
 def test_a_tolerance_out_of_reach_is_named():
-    """Where the tables of orders end: 2 mm below, the kernel is near singular."""
+    """The tables of orders end at 32. At 2 mm below, the kernel is nearly singular."""
     assert order_for(LAMP, below(0.002), tolerance=1e-6) == ORDERS[-1]
     with pytest.raises(jv.InputError, match=r"1e-12 needs quadrature of order \d+, above .* 32"):
         order_for(LAMP, below(0.002), tolerance=1e-12)
@@ -93,7 +93,8 @@ LONG_LAMP = jv.RectangleLight([-0.5, 0.1, 0], [1, 0, 0], [0, -0.2, 0], [1.0])  #
 
 
 def receivers(count):
-    """Within 40 lengths of a lamp, near and far alike, of any tilt that leaves some light."""
+    """Return receivers within 40 lengths of a lamp, near and far, with any tilt that receives
+    light."""
     rng = np.random.default_rng(4)
     places, normals = rng.standard_normal((2, count, 3))
     places[:, 2] = -np.abs(places[:, 2])
@@ -105,8 +106,8 @@ def receivers(count):
 @pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
-    """Alone, each by its own rule: within the tolerance of its own light, or, where that skims the
-    horizon, of what it would get if it faced the light."""
+    """Each receiver alone is within the tolerance of its own irradiance or, at grazing angles, of
+    the irradiance that it would have facing the light."""
     places, normals = receivers(4000)
 
     def alone(point, normal):
@@ -123,8 +124,8 @@ def test_each_receiver_gets_the_nodes_that_it_needs(tolerance):
 
 
 @pytest.mark.slow
-def test_receivers_together_take_the_rule_of_the_neediest():
-    """Far ones alone by four nodes, wrong before the tenth digit."""
+def test_receivers_together_use_the_finest_rule_needed():
+    """Distant receivers alone use four nodes, with errors before the tenth digit."""
     far = np.array([[x, 0.3, -9.0] for x in (-1.0, 0.0, 2.0)])
     loose = jax.jit(partial(adaptive_irradiance, tolerance=1e-2))
 
@@ -143,8 +144,8 @@ def test_receivers_together_take_the_rule_of_the_neediest():
         adaptive_irradiance(LAMP, jnp.asarray(far), UP, tolerance=0.0)
 
 
-def test_the_gradient_of_nodes_is_numpys_difference():
-    """Two nodes a side, by the corner, both edges and the normal."""
+def test_the_gradient_of_nodes_equals_numpys_difference():
+    """With two nodes on each side, the gradient is by the corner, both edges and the normal."""
     places, weights = np.polynomial.legendre.leggauss(2)
     numbers = np.array([[-0.5, -0.3, 2.0], [0.1, 1.2, 0.2], [0.9, 0.0, 0.1], [0.0, 0.28, 0.96]])
 
@@ -169,9 +170,9 @@ def test_the_gradient_of_nodes_is_numpys_difference():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("height", [0.1, 0.5, 30.0])
-def test_density_is_that_of_the_samples(height):
-    """Radiance / density is the sample's weight, and the weights integrate the direction itself
-    over the window."""
+def test_density_equals_that_of_the_samples(height):
+    """Radiance / density is the sample's weight, and the weights integrate the direction over the
+    window."""
     point = below(height, 0.3, -0.7)
     u = jax.random.uniform(jax.random.key(1), (256, 2))
 
@@ -183,7 +184,7 @@ def test_density_is_that_of_the_samples(height):
     drawn, density, arriving = jax.jit(jax.vmap(weigh))(u)
     np.testing.assert_allclose(arriving / density[:, None], drawn.irradiance, rtol=1e-9)
     np.testing.assert_allclose(drawn.density, density, rtol=1e-9)
-    # the integral of wi over the light, which has a closed form too
+    # the integral of wi over the light, which has a closed form, too
     arriving = jax.jit(lambda p: incident_samples(LAMP, p, jv.Quadrature(32)))(point)
     vector = [(exact(LAMP, point, n) - exact(LAMP, point, -n))[0] for n in np.eye(3)]
     moments = (arriving.direction * arriving.irradiance[:, :1]).sum(axis=0)
@@ -201,7 +202,7 @@ def test_a_ray_sees_the_front_only():
         assert (miss.radiance == 0).all()
 
 
-def test_one_place_only_is_asked_of_lights_at_one_place():
+def test_incident_is_refused_for_extended_lights():
     with pytest.raises(ValueError, match=r"light at one place, got RectangleLight"):
         incident(LAMP, UP)
     with pytest.raises(ValueError, match=r"edge_u must have shape \(3,\), got \(2,"):
@@ -211,8 +212,9 @@ def test_one_place_only_is_asked_of_lights_at_one_place():
 
 
 @pytest.mark.slow
-def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
-    """In the middle of the lamp, near its rim and across it, as far away as it is wide."""
+def test_a_highlight_of_exponent_1000_has_the_stated_error():
+    """The highlight is in the centre of the lamp, near its edge and across it, as far away as the
+    lamp is wide."""
     viewers = np.array([[0.1, 0.05, 1], [0.45, 0.1, 1], [0.52, 0, 1]])
     viewers /= np.linalg.norm(viewers, axis=1)[:, None]
     x, weight = (a / 2 for a in np.polynomial.legendre.leggauss(600))
@@ -239,8 +241,8 @@ def test_a_highlight_of_exponent_1000_is_as_exact_as_the_rules_say():
 
 
 def _form_factor(h):
-    """The form factor of a square of side 1 from a point below its middle, by Howell's B-4 of a
-    corner, four times."""
+    """Return the form factor of a square of side 1 from a point below its centre: four times
+    Howell's B-4 of a corner."""
     x = 0.5 / h
     return 4 * 2 * x / np.sqrt(1 + x * x) * np.arctan(x / np.sqrt(1 + x * x)) / (2 * np.pi)
 
@@ -256,14 +258,14 @@ def test_a_light_much_wider_than_its_distance_is_named(height):
     words = next(str(one.message) for one in said if "irradiance is" in str(one.message))
     assert float(words.split("irradiance is ")[1].split()[0]) == pytest.approx(true, rel=5e-3)
     assert float(words.split("finds ")[1].split(",")[0]) == pytest.approx(float(found[0]), rel=5e-3)
-    exact_one = float(rectangle_irradiance(lamp, below(height), UP)[0])  # what the sentence advises
+    exact_one = float(rectangle_irradiance(lamp, below(height), UP)[0])  # the advised value
     assert exact_one == pytest.approx(true, rel=1e-12)
 
 
 @pytest.mark.parametrize(
     ("height", "order"), [(0.05, 8), pytest.param(0.01, 32, marks=pytest.mark.slow)]
 )
-def test_a_light_whose_quadrature_is_good_is_not_named(height, order):
+def test_a_light_with_an_accurate_quadrature_is_not_named(height, order):
     lamp = jv.RectangleLight([-0.5, 0.5, 0], [1, 0, 0], [0, -1, 0], [1 / np.pi])
     found = irradiance(lamp, below(height), UP, rule=jv.Quadrature(order))
     assert float(found[0]) == pytest.approx(_form_factor(height), rel=0.02)

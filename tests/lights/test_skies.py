@@ -1,4 +1,5 @@
-"""Skies and the sun: horizontal integrals in closed form, and tables against independent ones."""
+"""Tests skies and the sun: closed forms of the horizontal irradiance, and tables against
+independent ones."""
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +16,14 @@ RADIANCE = jax.jit(jax.vmap(lights.sky_radiance, in_axes=(None, None, 0)))
 
 
 def level(parameters, sun):
-    """The irradiance of level ground for a zenith of radiance 1."""
+    """Return the irradiance of level ground for a zenith radiance of 1."""
     nodes, weights = jv.geometry.hemisphere.product_nodes(200, 64)
     return float(weights @ (np.asarray(RADIANCE(parameters, sun, nodes)) * nodes[:, 2]))
 
 
 @pytest.mark.parametrize(("kind", "a", "b"), [(1, 4.0, -0.7), (3, 1.1, -0.8), (5, 0.0, -1.0)])
-def test_overcast_skies_have_closed_integrals(kind, a, b):
-    """Of (1 + a exp(b / cos)) / (1 + a exp(b))."""
+def test_overcast_skies_have_closed_form_integrals(kind, a, b):
+    """The relative radiance is (1 + a exp(b / cos)) / (1 + a exp(b))."""
     expected = 2 * np.pi * (0.5 + a * expn(3, -b)) / (1 + a * np.exp(b))
     sun = jnp.array([0.6, 0, 0.8])
     assert level(jnp.asarray(lights.cie_sky(kind)), sun) == pytest.approx(expected, rel=1e-6)
@@ -32,7 +33,8 @@ def test_overcast_skies_have_closed_integrals(kind, a, b):
 @pytest.mark.sweep("15")
 @pytest.mark.parametrize("kind", [4, 8, 12, 15])
 def test_skies_against_the_standards_formula(kind):
-    """By angles, in plain NumPy; the picture of the sky puts the stated light on level ground."""
+    """The reference is plain NumPy by angles. The picture of the sky gives the stated irradiance on
+    level ground."""
     a, b, c, d, e = lights.cie_sky(kind)
     sun = np.array([np.sin(0.9), 0, np.cos(0.9)])
     rng = np.random.default_rng(0)
@@ -54,9 +56,9 @@ def test_skies_against_the_standards_formula(kind):
 @pytest.mark.parametrize(
     ("clearness", "brightness", "zenith"), [(1.02, 0.2, 0.9), (1.3, 0.3, 0.5), (8.0, 0.1, 1.0)]
 )
-def test_perezs_sky_is_his_formula(clearness, brightness, zenith):
-    """(1 + a exp(b / cos Z)) (1 + c exp(d chi) + e cos^2 chi) of his own coefficients, here of
-    three ranges of clearness as the paper's table has them."""
+def test_perezs_sky_follows_his_formula(clearness, brightness, zenith):
+    """The radiance is (1 + a exp(b / cos Z)) (1 + c exp(d chi) + e cos^2 chi), with Perez's
+    coefficients for three ranges of clearness from the paper's table."""
     table = {
         1.02: [
             (1.3525, -0.2576, -0.2690, -1.4366), (-0.7670, 0.0007, 1.2734, -0.1233),
@@ -94,8 +96,8 @@ def test_perezs_sky_is_his_formula(clearness, brightness, zenith):
 
 @pytest.mark.slow
 def test_the_sun_is_a_disc():
-    """Its light on level ground by quadrature, by its radiance seen from there, and its penumbra
-    behind an edge: half the light where the edge hides half of it."""
+    """Checked are its irradiance on level ground by quadrature, by its radiance, and its penumbra:
+    half the light where an edge hides half of the disc."""
     sun = jv.SunDisc([0, 0.6, 0.8], [100.0], 0.05)
     arriving = jv.irradiance(sun, jnp.zeros(3), UP, rule=jv.Quadrature(16))
     np.testing.assert_allclose(arriving, 80, rtol=1e-6)
@@ -107,10 +109,10 @@ def test_the_sun_is_a_disc():
     density = lights.direction_pdf(sun, jnp.zeros(3), inside.direction)
     np.testing.assert_allclose(seen / density, inside.irradiance, rtol=1e-9)
     assert float(inside.density) == pytest.approx(float(density), rel=1e-12)
-    screen = jv.Quad([-5, -5, 1], [5.0, 0, 0], [0, 10, 0])  # its edge over x = 0
+    screen = jv.Quad([-5, -5, 1], [5.0, 0, 0], [0, 10, 0])  # with its edge over x = 0
     floor = jv.Surface(jv.Quad([-1, -2, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([1 / np.pi]))
     scene = jv.Scene([floor, jv.Surface(screen, jv.Lambert([0.0]), two_sided=True)], [sun])
-    half = 0.05 / 0.8  # of the penumbra, m
+    half = 0.05 / 0.8  # half of the penumbra, m
 
     def lit(x):
         view = jv.Orthographic(
@@ -125,7 +127,7 @@ def test_the_sun_is_a_disc():
     assert lit(0.5 * half) == pytest.approx(share, abs=0.03)
 
 
-def test_what_is_no_sky_is_named():
+def test_invalid_skies_are_named():
     with pytest.raises(ValueError, match="kind must be a whole number from 1 to 15"):
         lights.cie_sky(17)
     with pytest.raises(ValueError, match="the sun must stand above the horizon"):
@@ -138,7 +140,7 @@ def test_what_is_no_sky_is_named():
 
 @pytest.mark.parametrize("whole", [np.int64, np.uint8, jnp.asarray])
 @pytest.mark.parametrize("kind", [12, 16])
-def test_a_whole_number_of_any_library_names_a_sky(whole, kind):
+def test_an_integer_of_any_library_names_a_sky(whole, kind):
     want, got = (
         lights.daylight(number, [0, 0.6, 0.8], irradiance=[1.0], rows=16).radiance
         for number in (kind, whole(kind))
@@ -146,7 +148,7 @@ def test_a_whole_number_of_any_library_names_a_sky(whole, kind):
     np.testing.assert_array_equal(got, want)
 
 
-def test_a_sky_that_its_formula_makes_negative_is_told():
+def test_a_negative_sky_is_named():
     with pytest.warns(UserWarning, match=r"falls below 0 in \d+% of the upper half"):
         lights.daylight(
             lights.perez_sky(0.6, 2.2, 0.05), [np.sin(0.6), 0, np.cos(0.6)], irradiance=[100.0]

@@ -1,4 +1,5 @@
-"""Lights from photographs of a ball: against simulated balls, whose outline is off as a whole."""
+"""Tests lights from photographs of a ball, against simulated balls whose outline has a common
+error."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,17 +36,17 @@ ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE].astype(float)
 
 
 def ball(centre, radius):
-    """Unit normals of a ball seen orthographically, NaN beside it."""
+    """Return unit normals of a ball seen orthographically, NaN outside it."""
     x, y = (COLUMNS - centre[0]) / radius, (centre[1] - ROWS) / radius
     with np.errstate(invalid="ignore"):
         return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
 
 
 def photograph(normals, light, strength, rng, *, mirror):
-    """12-bit DN of a lobe about the light in a mirror, or of a matte ball."""
+    """Return the 12-bit DN of a lobe around the light in a mirror, or of a matte ball."""
     cosine = normals @ light
     if mirror:
-        shown = 2 * normals[..., 2] * cosine - light[2]  # of the mirror direction with the light
+        shown = 2 * normals[..., 2] * cosine - light[2]  # mirror direction times light
         signal = 60 + 3000 * strength * np.exp(600 * (shown - 1))
     else:
         signal = 2500 * strength * np.maximum(cosine, 0)
@@ -54,7 +55,7 @@ def photograph(normals, light, strength, rng, *, mirror):
 
 
 def simulated(kind, seed, *, lights=None, off=0.5):
-    """Images, a mask off by `off` pixels (s.d.) as a whole, lights and intensities."""
+    """Return images, a mask with a common error of `off` pixels (s.d.), lights and intensities."""
     rng = np.random.default_rng(seed)
     lights = directions(8) if lights is None else lights
     strengths = rng.uniform(0.7, 1.2, len(lights))
@@ -70,7 +71,8 @@ def simulated(kind, seed, *, lights=None, off=0.5):
 
 
 def standardised(found, truth):
-    """Errors across each direction over their standard deviation, and their joint chi-square."""
+    """Return errors perpendicular to each direction over their standard deviation, and their joint
+    chi-square."""
     axes = across(found.places[:, None])
     error = np.einsum("lai,li->la", axes, found.places - truth).ravel()
     both = np.einsum("lai,limj,mbj->lamb", axes, found.covariance[:, :3, :, :3], axes)
@@ -89,13 +91,13 @@ def check_coverage(kind, seeds):
         dof = len(own)
         ratio = np.log(found.intensities / strengths)
         far = np.abs(ratio - ratio.mean()) / found.intensity_sd
-        assert far.max() < 4.5  # of up to 1,600
+        assert far.max() < 4.5  # up to 1,600 errors
     return np.abs(np.array(z)), np.array(square), dof
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
-def test_directions_are_off_by_no_more_than_their_covariance_says(kind):
+def test_errors_of_directions_agree_with_their_covariance(kind):
     z, square, dof = check_coverage(kind, range(2))
     assert z.max() < 4
     assert (square < chi2.ppf(1 - 1e-4, dof)).all()
@@ -103,8 +105,9 @@ def test_directions_are_off_by_no_more_than_their_covariance_says(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
-def test_intervals_of_directions_hold(kind):
-    """Of 200 balls; marginally 16 errors share one outline, so that their share varies much."""
+def test_intervals_of_directions_cover(kind):
+    """There are 200 balls. The 16 errors of each share one outline, so their marginal share varies
+    much."""
     z, square, dof = check_coverage(kind, range(200))
     assert 0.92 < np.mean(z < 1.96) < 0.98
     assert np.mean(square < chi2.ppf(0.95, dof)) > 0.92
@@ -112,8 +115,9 @@ def test_intervals_of_directions_hold(kind):
 
 @pytest.mark.parametrize("focal", [None, 400.0])
 @pytest.mark.parametrize("sharpness", [30, 60, 300])
-def test_the_middle_of_a_wide_highlight_is_where_its_light_is(sharpness, focal):
-    """Half as high at 12, 9 and 4 degrees from the light; a mean of pixels was off by 1.4."""
+def test_the_centre_of_a_wide_highlight_gives_the_direction(sharpness, focal):
+    """The highlight falls to a half at 12, 9 and 4 degrees from the light. The mean of its pixels
+    was wrong by 1.4 degrees."""
     middle, lens, size = np.full(2, 80.3), Lens(focal, (70.0, 75.0)), 161
     row, column = np.mgrid[:size, :size].astype(float)
     if focal is None:
@@ -144,8 +148,9 @@ def test_the_middle_of_a_wide_highlight_is_where_its_light_is(sharpness, focal):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("floor", [0.0, 300.0])
-def test_what_the_unlit_side_reads_is_taken_off(floor):
-    """A black level that is not stated, or room light, had turned directions by 3 degrees."""
+def test_readings_of_the_unlit_side_are_subtracted(floor):
+    """Without the correction, an unstated black level or room light changed directions by 3
+    degrees."""
     images, mask, truth, _ = simulated("matte", 3)
     found = calibrate([one + floor for one in images], [mask], camera=CAMERA, kind="matte")
     assert np.abs(standardised(found, truth)[0]).max() < 4
@@ -157,8 +162,9 @@ def test_what_the_unlit_side_reads_is_taken_off(floor):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("gamma", [0.9, 1.0, 1.1, 1.2])
-def test_a_small_gamma_of_a_matte_ball_is_found_and_allowed_for(gamma):
-    """The outline absorbs its residuals, so that directions were 1.4 to 3.8 degrees off."""
+def test_a_small_gamma_of_a_matte_ball_is_estimated(gamma):
+    """The outline absorbs the residuals of the gamma, and directions were wrong by 1.4 to 3.8
+    degrees."""
     rng, centre, lights = np.random.default_rng(5), np.full(2, (SIDE - 1) / 2), directions(5)
     shades = np.maximum(np.einsum("hwi,li->lhw", np.nan_to_num(ball(centre, RADIUS)), lights), 0)
     images = np.round(64 + 2500 * shades ** (1 / gamma) + 3 * rng.normal(size=shades.shape))
@@ -172,7 +178,7 @@ def test_a_small_gamma_of_a_matte_ball_is_found_and_allowed_for(gamma):
         assert value == pytest.approx(1 / gamma, abs=4 * sd)
 
 
-def test_outlines_of_mask_and_shading_that_differ_and_a_view_without_lens_are_told():
+def test_outlines_that_differ_and_a_view_without_a_lens_are_named():
     images, _, _, _ = simulated("matte", 3, off=0.0)
     mask = np.hypot(COLUMNS - (SIDE - 1) / 2, ROWS - (SIDE - 1) / 2) < RADIUS + 5
     found = calibrate(images, [mask], camera=CAMERA, kind="matte")
@@ -201,19 +207,19 @@ def test_a_focal_length_in_millimetres_is_named():
 
 def test_a_mask_with_soft_edges_or_of_jpeg_ends_at_half_of_its_largest_value():
     distance = np.hypot(COLUMNS - 40, ROWS - 40)
-    ringing = np.random.default_rng(0).integers(0, 8, distance.shape)  # around the edge, in JPEG
+    ringing = np.random.default_rng(0).integers(0, 8, distance.shape)  # around the edge, as in JPEG
     soft = np.clip(255 * (RADIUS - distance) / 6 + 127.5, 0, 255).astype(int)
     np.testing.assert_array_equal(pixels_of_mask(np.maximum(soft, ringing)), distance < RADIUS)
     labels = (distance < RADIUS) + 4 * (distance < 10)
     np.testing.assert_array_equal(pixels_of_mask(labels), distance < RADIUS)
 
 
-def test_an_outline_off_as_a_whole_turns_all_directions_alike():
+def test_a_common_error_of_the_outline_rotates_all_directions():
     images, mask, truth, _ = simulated("mirror", 1, off=0.0)
     there = calibrate(images, [mask], camera=CAMERA)
     aside = calibrate([np.roll(i, 0, 1) for i in images], [np.roll(mask, 1, 1)], camera=CAMERA)
     turn = np.degrees(np.linalg.norm(aside.places - there.places, axis=1))
-    np.testing.assert_allclose(turn, np.degrees(2 / RADIUS), rtol=0.35)  # 2 / r of the highlight
+    np.testing.assert_allclose(turn, np.degrees(2 / RADIUS), rtol=0.35)  # 2 / r for the highlight
     assert there.common > 0.8
     exact = calibrate(images, [mask], camera=CAMERA, outline_sd=0.0)
     assert exact.place_sd.max() < 0.5 * there.place_sd.min()
@@ -223,7 +229,8 @@ def test_an_outline_off_as_a_whole_turns_all_directions_alike():
 
 @pytest.mark.slow
 def test_through_a_lens_the_outline_is_an_ellipse():
-    """A ball of 1 at (1.2, -.7, -8) from a lens of 400 pixels, by rays against a sphere."""
+    """The image of a ball of radius 1 at (1.2, -.7, -8) with a lens of 400 pixels is traced by rays
+    against a sphere."""
     focal, side = 400.0, 301
     rows, columns = np.mgrid[:side, :side] - (side - 1) / 2
     rays = np.stack([columns, -rows, np.full_like(rows, -focal)], axis=-1)
@@ -242,14 +249,14 @@ def test_through_a_lens_the_outline_is_an_ellipse():
     assert off < 3 * np.degrees(found.place_sd[0]) < 1.5
     flat = calibrate([image], [mask], **given)
     assert np.degrees(np.arccos(flat.places[0] @ light)) > 5  # the view is not along -z
-    turned = [one[::-1, ::-1] for one in (image, mask)]  # about the middle of the picture
+    turned = [one[::-1, ::-1] for one in (image, mask)]  # about the centre
     about = calibrate(turned[:1], turned[1:], focal_length=focal, **given)
     np.testing.assert_allclose(about.places * [-1, -1, 1], found.places, atol=1e-5)
 
 
 @pytest.mark.parametrize("near", [False, True])
-def test_the_deviation_of_a_place_is_that_of_an_axis(near):
-    """A direction varies along two axes across it, a position along three."""
+def test_the_standard_deviation_of_a_direction_is_per_axis(near):
+    """A direction varies along two axes perpendicular to it, and a position along three."""
     own = np.eye(3) if near else np.diag([1.0, 1.0, 0.0])
     covariance = np.zeros((2, 4, 2, 4))
     covariance[0, :3, 0, :3], covariance[1, :3, 1, :3] = 4 * own, 9 * own
@@ -258,8 +265,8 @@ def test_the_deviation_of_a_place_is_that_of_an_axis(near):
     np.testing.assert_allclose(lights.place_sd, [2, 3])
 
 
-def test_a_highlight_stands_out_of_the_noise_of_its_ball():
-    """Ten standard deviations above the median are needed, by the median deviation."""
+def test_a_highlight_must_exceed_the_noise_of_its_ball():
+    """It must be ten standard deviations above the median, estimated by the median deviation."""
     rng, middle = np.random.default_rng(0), ((SIDE - 1) / 2,) * 2
     outline = Outline(np.array([*middle, RADIUS]), np.eye(3), 0.0, Lens(None, middle))
     disc = np.hypot(COLUMNS - middle[0], ROWS - middle[1]) < RADIUS
@@ -275,8 +282,8 @@ RADIUS_OF_TWO = 0.02  # m
 
 
 def two_balls(seed, *, off=0.1):
-    """Images and masks, off by `off` pixels (s.d.), of two balls 100 mm apart, and three lights at
-    about .4 m."""
+    """Return images, masks with errors of `off` pixels (s.d.) of two balls 100 mm apart, and three
+    lights at about .4 m."""
     rng, pixels = np.random.default_rng(seed), 24.0
     rows, columns = np.mgrid[:60, :180].astype(float)
     centres = np.array([[30.0, 30.0], [150.0, 30.0]])
@@ -304,7 +311,8 @@ def two_balls(seed, *, off=0.1):
 
 
 def positions_from_two_balls(seed):
-    """Errors of the nine coordinates over their standard deviations, and their chi-square."""
+    """Return the errors of the nine coordinates over their standard deviations, their chi-square,
+    and the errors."""
     images, masks, lights = two_balls(seed)
     found = calibrate(images, masks, camera=CAMERA, radius=RADIUS_OF_TWO, outline_sd=0.1)
     assert found.near
@@ -358,7 +366,7 @@ def test_bad_images_are_a_sentence(images, mask, options, said):
 @pytest.mark.parametrize(
     ("factor", "said"), [(np.nan, "not finite"), (-1.0, "negative variance along some direction")]
 )
-def test_a_file_whose_covariance_is_none_is_refused(tmp_path, factor, said):
+def test_a_file_with_an_invalid_covariance_is_refused(tmp_path, factor, said):
     found = calibrate(IMAGES[:1], [MASK], camera=CAMERA)
     wrong = replace(found, covariance=factor * found.covariance)
     write_lights(wrong, tmp_path / "lights.npz")
@@ -424,8 +432,8 @@ def test_the_command_writes_a_rig(tmp_path):
     assert "0.png: no highlight on the ball" in told
 
 
-def test_turns_that_err_together_are_marginalised_as_one_gaussian():
-    """(1 + S P S')^(-1/2) against dense matrices."""
+def test_correlated_rotations_are_marginalised_as_one_gaussian():
+    """(1 + S P S')^(-1/2) equals the result of dense matrices."""
     rng = np.random.default_rng(0)
     light = np.repeat(np.arange(4), 6)
     root = rng.normal(size=(8, 8))
@@ -447,7 +455,7 @@ def test_turns_that_err_together_are_marginalised_as_one_gaussian():
 
 
 @pytest.mark.parametrize("cells", [False, True])
-def test_image_errors_with_a_common_precision_are_a_dense_gaussian(cells):
+def test_image_errors_with_a_common_precision_equal_a_dense_gaussian(cells):
     rng = np.random.default_rng(1)
     residual, weight = rng.normal(size=(3, 5)), rng.uniform(0.5, 2, (3, 5))
     errors, shared = rng.normal(size=(3, 2, 5)), rng.normal(size=(3, 5))
@@ -467,15 +475,16 @@ def test_image_errors_with_a_common_precision_are_a_dense_gaussian(cells):
 
 
 @pytest.mark.slow
-def test_photometric_stereo_allows_for_lights_that_err_together():
-    """Normals of a matte ball under lights all off by one turn of 1 degree (s.d.)."""
+def test_photometric_stereo_includes_correlated_errors_of_lights():
+    """Normals of a matte ball are estimated under lights that share a rotation of 1 degree
+    (s.d.)."""
     rng, lights = np.random.default_rng(5), directions(12)
     normals = ball((SIDE / 2, SIDE / 2), 45.0)[::8, ::8].reshape(-1, 3)
     normals = normals[normals[:, 2] > 0.8]
     sd, inside, alone = np.radians(1.0), [], []
     generators = np.array(
         [np.cross(np.eye(3)[axis], lights) for axis in range(3)]
-    )  # dl of a turn about each axis
+    )  # dl of a rotation about each axis
     covariance = np.zeros((12, 4, 12, 4))
     covariance[:, :3, :, :3] = sd**2 * np.einsum("ali,amj->limj", generators, generators)
     for _ in range(20):
@@ -485,7 +494,7 @@ def test_photometric_stereo_allows_for_lights_that_err_together():
         readings = 1000 * np.maximum(lights @ normals.T, 0) + rng.normal(0, 2, (12, len(normals)))
         for given, kept in ((covariance, inside), (None, alone)):
             found = photometric_stereo(readings[:, None], told, covariance=given)
-            if given is not None:  # a turn of the lights turns the normals by as much
+            if given is not None:  # rotated lights rotate the normals as much
                 np.testing.assert_allclose(np.median(found.normal_sd), sd, rtol=0.1)
             off = np.arccos(np.clip(np.sum(found.normals[0] * normals, axis=1), -1, 1))
             kept.append(np.mean(off < 2.448 * found.normal_sd[0]))
@@ -494,10 +503,12 @@ def test_photometric_stereo_allows_for_lights_that_err_together():
 
 
 def reflectance_through_lights(seed, *, shared=True, drawn=False):
-    """Error of the logarithm of the reflectance of a flat matte patch, which shows no direction by
-    itself, and its standard deviation. The lights are those that a mirror ball tells, with their
-    covariance, or with errors that are independent between lights; or the true lights with errors
-    drawn from this covariance, which allows for a worse ball than the simulated one."""
+    """Return the error of the log reflectance of a flat matte patch, which does not determine
+    directions itself, and its standard deviation.
+
+    The lights are estimated from a mirror ball, with their covariance or with errors taken as
+    independent, or they are the true lights with errors drawn from this covariance, which allows
+    for a worse ball than the simulated one."""
     normal, lights = np.array([0.6, 0, 0.8]), directions(24)
     lights = lights[lights @ normal > 0.4]
     rng = np.random.default_rng(seed)
@@ -532,9 +543,9 @@ def reflectance_through_lights(seed, *, shared=True, drawn=False):
 
 
 @pytest.mark.slow
-def test_intervals_of_a_reflectance_hold_through_the_lights():
-    """Directions are off by up to 6 degrees, which alone change the reflectance by 2 %; the images
-    of the patch under many lights tell the common turn."""
+def test_intervals_of_a_reflectance_cover_with_estimated_lights():
+    """The directions have errors of up to 6 degrees, which alone would change the reflectance by 2
+    %. The images of the patch under many lights determine the common rotation."""
     for drawn in (False, True):
         found = [reflectance_through_lights(seed, drawn=drawn) for seed in range(30)]
         errors, sds = np.transpose(found)
@@ -555,7 +566,8 @@ def test_intervals_of_a_reflectance_hold_through_the_lights():
 )
 @pytest.mark.parametrize("at", [0, 5])
 def test_an_image_of_another_depth_black_level_or_gamma_is_left_out(change, at):
-    """Of a matte ball. Its light was off by up to 14 degrees, at .6, and others by 1.3, at .2."""
+    """The ball is matte. Its light was wrong by up to 14 degrees with a stated .6, and others by
+    1.3 with .2."""
     images, mask, truth, _ = simulated("matte", 0)
     images[at] = change(images[at])
     found = calibrate(images, [mask], camera=CAMERA, kind="matte")
@@ -565,7 +577,7 @@ def test_an_image_of_another_depth_black_level_or_gamma_is_left_out(change, at):
 
 
 @pytest.mark.slow
-def test_intensities_and_levels_that_differ_much_are_named():
+def test_intensities_and_levels_that_differ_strongly_are_named():
     images, mask, _, _ = simulated("matte", 0)
     images = [np.maximum(image - 64, 0) for image in images]
     images[3] = images[3] // 16
@@ -583,8 +595,8 @@ def test_intensities_and_levels_that_differ_much_are_named():
 @pytest.mark.sweep("0.9-0-1", "1-3-2")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("factor", "shift"), [(1.1, 0), (0.9, 0), (1, 3), (0.95, 2)])
-def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, shift, seed):
-    """Off by up to 12 degrees, at 2 before."""
+def test_a_wrong_mask_of_a_mirror_ball_widens_the_directions(factor, shift, seed):
+    """Directions were wrong by up to 12 degrees, with a stated error of 2."""
     images, mask, truth, _ = simulated("mirror", seed, off=0.0)
     row, column = np.argwhere(mask).mean(axis=0)
     wrong = np.hypot(COLUMNS - column - shift, ROWS - row) < factor * RADIUS
@@ -601,7 +613,7 @@ def test_a_mask_beside_the_edge_of_a_mirror_ball_widens_the_directions(factor, s
 
 @pytest.mark.slow
 def test_a_ball_that_moved_is_named_in_one_image():
-    """By 2 pixels: its light was 13 degrees off, at 2."""
+    """The shift is 2 pixels. The light was wrong by 13 degrees, with a stated error of 2."""
     images, mask, _, _ = simulated("mirror", 0)
     images[3] = np.roll(images[3], 2, axis=1)
     with pytest.raises(
@@ -616,8 +628,8 @@ def test_a_ball_that_moved_is_named_in_one_image():
 
 
 @pytest.mark.parametrize(("kind", "top"), [("matte", 2600), ("mirror", 1500)])
-def test_clipping_below_full_scale_is_noticed(kind, top):
-    """Directions of a matte ball were up to 6 degrees off, at 1.5."""
+def test_clipping_below_full_scale_is_detected(kind, top):
+    """Directions of a matte ball were wrong by up to 6 degrees, with a stated error of 1.5."""
     images, mask, truth, _ = simulated(kind, 0)
     clipped = [np.minimum(image, top) for image in images]
     found = calibrate(clipped, [mask], camera=CAMERA, kind=kind)
@@ -630,7 +642,7 @@ def test_clipping_below_full_scale_is_noticed(kind, top):
 
 @pytest.mark.slow
 def test_uneven_room_light_widens_the_directions_of_a_matte_ball():
-    """Off by 2.2 to 2.9 degrees, at .01 before."""
+    """Directions were wrong by 2.2 to 2.9 degrees, with a stated error of .01."""
     images, mask, truth, _ = simulated("matte", 0, lights=ring(45.0))
     light = 250 * (0.5 + 0.5 * ((SIDE - 1) / 2 - ROWS) / RADIUS)
     images = [image + np.where(mask, light, 0) for image in images]
@@ -645,16 +657,17 @@ def test_uneven_room_light_widens_the_directions_of_a_matte_ball():
 
 
 def ring(elevation):
-    """Eight lights around the view, `elevation` degrees from it."""
+    """Return eight lights around the view, `elevation` degrees from it."""
     around, away = np.arange(8) * np.pi / 4, np.radians(elevation)
     flat = np.sin(away) * np.stack([np.cos(around), np.sin(around)], axis=1)
     return np.column_stack([flat, np.full(8, np.cos(away))])
 
 
 @pytest.mark.slow
-def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_loses_a_small_room_light():
-    """Many pixels beside its brightest point have one code: they counted as clipped. Room light of
-    0.2 % of the signal was below what was subtracted: directions were 4 to 12 deviations off."""
+def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_room_light_is_subtracted():
+    """Many pixels near the brightest point have one code, and counted as clipped. Room light of 0.2
+    % of the signal was below the subtracted level, and directions were wrong by 4 to 12
+    deviations."""
     lights = ring(45.0)
     images, mask, _, _ = simulated("matte", 0, lights=lights)
     coarse = [np.floor(image / 16) for image in images]
@@ -665,14 +678,15 @@ def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_loses_a_small_room_lig
     found = calibrate(lit, [mask], camera=CAMERA, kind="matte")
     unlit = calibrate(images, [mask], camera=CAMERA, kind="matte")
     apart = np.linalg.norm(found.places - unlit.places, axis=1)
-    assert apart.max() < 0.4 * np.median(unlit.place_sd)  # 12 before
+    assert apart.max() < 0.4 * np.median(unlit.place_sd)  # earlier 12
     assert not any("face away" in sentence for sentence in found.findings)
 
 
 @pytest.mark.slow
-def test_an_image_that_was_rotated_is_left_out():
-    """By a quarter turn: its light was 72 degrees off at .06, because the constant that it alone
-    asks for is small. The mirror ball's edge moves, and its image is refused."""
+def test_a_rotated_image_is_left_out():
+    """The rotation is a quarter turn. The light was wrong by 72 degrees with a stated .06, because
+    the image changes the common constant little. For a mirror ball the edge moves, and the image is
+    refused."""
     images, mask, truth, _ = simulated("matte", 2)
     images[3] = np.rot90(images[3])
     found = calibrate(images, [mask], camera=CAMERA, kind="matte")

@@ -1,4 +1,5 @@
-"""Darks that were warmer than the flats, or of another gain, show it in their fixed pattern."""
+"""Tests that darks taken at a higher temperature or another gain than the flats are detected by
+their fixed pattern."""
 
 import re
 
@@ -12,7 +13,8 @@ PHOTONS = np.linspace(300, 14000, 8)
 
 
 def transfer(seed, *, warmer=1.0, gain=1.0, unequal=1.0, dsnu=1.0, prnu=0.01, count=2, taps=0):
-    """Flats whose light and dark current grow with time; darks of another current or gain."""
+    """Return flats whose light and dark current grow with time, and darks with another current or
+    gain."""
     rng = np.random.default_rng(seed)
     shape = count, SIZE, SIZE
     offsets = dsnu * rng.standard_normal((SIZE, SIZE))
@@ -45,17 +47,18 @@ def share_of(measurement):
 )
 def test_darks_of_another_current_or_gain_are_named(options, truth):
     share, error = share_of(transfer(0, **options))
-    assert abs(share - truth) < 4 * error + 0.03 * ("warmer" in options)  # offsets are the same
+    assert abs(share - truth) < 4 * error + 0.03 * ("warmer" in options)  # with equal offsets
 
 
-def test_darks_of_the_flats_conditions_are_not_named():
+def test_matching_darks_are_not_named():
     for seed in range(2):
         assert share_of(transfer(seed)) is None
 
 
 @pytest.mark.slow
-def test_no_darks_of_the_flats_conditions_are_named():
-    """Nor with large offsets, unequal sensitivities, even dark currents and taps."""
+def test_matching_darks_are_never_named():
+    """This holds also with large offsets, unequal sensitivities, a uniform dark current, and
+    taps."""
     for seed in range(8):
         for options in ({}, {"dsnu": 10.0}, {"prnu": 0.05}, {"unequal": 0.1}, {"taps": 0.2}):
             assert share_of(transfer(seed, **options)) is None

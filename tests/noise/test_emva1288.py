@@ -1,4 +1,5 @@
-"""The standard's sheet: exact on noise-free curves, errors against repeated simulation."""
+"""Tests the standard's data sheet: exact on noise-free curves, and errors equal to the scatter of
+repeated simulations."""
 
 import equinox as eqx
 import jax
@@ -15,7 +16,7 @@ from fitting.noise.regressions import surprise
 
 
 def measurement_of(light, exposure, bright, dark, *, pixels=10_000, frames=2, **options):
-    """A measurement from arrays of (mean, variance[, spatial variance]) rows."""
+    """Return a measurement from arrays of (mean, variance[, spatial variance]) rows."""
     count = len(exposure)
 
     def levels(amount, rows):
@@ -100,19 +101,19 @@ def test_saturation_gives_capacity_snr_and_dynamic_range():
     np.testing.assert_allclose(found["snr_max_db"], 10 * np.log10(electrons))
     np.testing.assert_allclose(found["dynamic_range"], electrons / threshold)
     np.testing.assert_allclose(found["usable_bits"], np.log(electrons / threshold) / np.log(2))
-    # 70 % of the saturation signal and 5 .. 95 % of it, as fractions of level 19's light.
+    # 70 % of the saturation signal, and 5 to 95 % of it, as fractions of level 19's light.
     np.testing.assert_array_equal(within.sensitivity, 0.7 * LIGHT[19] >= LIGHT)
     inside = (0.05 * LIGHT[19] <= LIGHT) & (0.95 * LIGHT[19] >= LIGHT)
     np.testing.assert_array_equal(within.linearity, inside)
-    # The true peak lies anywhere between the neighbours: sd of a triangle of that base.
+    # The true peak is anywhere between the neighbours; this is the s.d. of a triangle of that base.
     error = evaluated.errors["saturation_photons"]
     np.testing.assert_allclose(error, (LIGHT[20] - LIGHT[18]) / np.sqrt(24))
 
 
-def test_linearity_errors_are_those_of_numpys_weighted_line():
+def test_linearity_errors_equal_numpys_weighted_line():
     signal = 0.13 * LIGHT * (1 - 0.03 * LIGHT / LIGHT[-1]) + 3
     inside = (LIGHT > 1000) & (LIGHT < 11_000)
-    # polyfit weighs residuals, not their squares: 1 / signal gives 1 / signal^2.
+    # polyfit weights residuals, not their squares, so 1 / signal gives 1 / signal^2.
     fit = np.polyfit(LIGHT[inside], signal[inside], 1, w=1 / signal[inside])
     expected = np.polyval(fit, LIGHT[inside])
     deviation = 100 * (signal[inside] - expected) / expected
@@ -127,7 +128,7 @@ def test_a_fine_read_noise_meets_the_standards_floor():
     np.testing.assert_allclose(found["temporal_dark_noise"], np.sqrt(0.24))
 
 
-def test_surprise_is_the_chi_square_tail():
+def test_the_p_value_is_the_chi_square_tail():
     for value, degrees in ((3.2, 5.0), (60.0, 30.0), (0.0, 4.0)):
         np.testing.assert_allclose(
             surprise(jnp.asarray(value), jnp.asarray(degrees)),
@@ -138,7 +139,7 @@ def test_surprise_is_the_chi_square_tail():
 
 @pytest.fixture(scope="module")
 def repeated():
-    """150 simulated measurements of one camera, and the evaluation of each."""
+    """Return 150 simulated measurements of one camera, and the evaluation of each."""
     rng, camera, pixels = np.random.default_rng(11), CameraTruth(), 2000
     light, exposure = np.linspace(200, 6000, 12), np.linspace(1e-3, 2e-2, 12)
     cameras = []
@@ -166,14 +167,14 @@ def repeated():
 def test_standard_errors_are_the_scatter_of_repetitions(repeated, name):
     spread = np.std(np.asarray(repeated.values[name]), ddof=1)
     claimed = np.median(np.asarray(repeated.errors[name]))
-    # The scatter of 150 values has a relative error of 5.8 %: four of them.
+    # The scatter of 150 values has a relative error of 5.8 %; the limit is four of them.
     assert abs(claimed / spread - 1) < 0.23
 
 
 @pytest.mark.slow
-def test_no_scatter_beyond_pixel_noise_is_rarely_believed(repeated):
+def test_insignificant_scatter_beyond_pixel_noise_is_rarely_fitted(repeated):
     found = np.asarray(repeated.factors) > 1
-    # 600 tests at 1 %: 6 expected, 99.9 % of binomial draws below 15.
+    # Of 600 tests at 1 %, 6 are expected, and 99.9 % of binomial draws are below 15.
     assert found.sum() < 15
 
 
@@ -187,7 +188,7 @@ def test_a_wandering_black_level_widens_the_errors():
         rows = sweep(rng, moved, light, exposure, (2, 5000))
         measured = measurement_of(light, exposure, *rows, pixels=5000)
         errors.append(float(evaluate(measured, ranges(measured)).errors["dark_current_mean"]))
-    # One DN of wander over 24 exposures: the textbook error of a slope, over the gain.
+    # One DN of drift over 24 exposures: the textbook error of a slope, over the gain.
     slope_error = 1.0 / np.sqrt(np.sum((exposure - exposure.mean()) ** 2)) / camera.gain
     assert 0.6 < errors[1] / slope_error < 1.5
     assert errors[0] < errors[1] / 10

@@ -1,4 +1,4 @@
-"""Frames that hold labels, masks or thresholded numbers are no frames of a camera."""
+"""Tests that frames of labels, masks or thresholded numbers are refused."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,8 @@ from jaxvision.errors import InputError
 
 @pytest.mark.parametrize("codes", [(0, 1), (0, 255), (10, 11, 12, 13)])
 def test_frames_of_few_codes_are_refused(codes):
-    """Random codes whose mean rises with the light, and whose variance rises with the mean."""
+    """The codes are random, with a mean that rises with the light, and a variance that rises with
+    the mean."""
     rng, light = np.random.default_rng(0), np.linspace(0.1, 0.45, 8)
 
     def frames(share):

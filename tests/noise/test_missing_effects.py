@@ -1,5 +1,5 @@
-"""Sixty simulated cameras with every effect alone and in pairs: the camera predicts its own frames,
-and the effect that its file lacks is named."""
+"""Tests sixty simulated cameras with every effect alone and in pairs: the calibrated camera
+predicts its own frames, and an effect that its file lacks is named."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -32,7 +32,7 @@ def mixing(own):
     return jv.Mixing([[0, side, 0], [side, own, side], [0, side, 0]])
 
 
-ABSENT = {  # of one structure, for one compiled program
+ABSENT = {  # of one structure, for a single program
     "row_noise": 0.0,
     "column_noise": 0.0,
     "nonlinearity": jv.Compression(0.0, electrons=12_000.0),
@@ -72,7 +72,8 @@ def frame(key, sensor, photons, seconds):
 
 
 def measured(sensor, seed):
-    """Four frames of twelve levels of light and of six of dark, behind a closed shutter."""
+    """Return the calibration data: four frames of twelve light levels and of six dark levels with a
+    closed shutter."""
     keys = jax.random.split(jax.random.key(seed), (18, 4))
     closed, dark = replace(sensor, light_offset=0.0), EXPOSURES[::2]
 
@@ -87,7 +88,7 @@ def measured(sensor, seed):
 
 
 @pytest.mark.slow
-def test_cameras_of_all_pairs_of_effects_are_predicted_and_what_they_lack_is_named():
+def test_cameras_of_all_pairs_of_effects_are_predicted_and_missing_ones_named():
     with jax.enable_x64(True):
         plain = plain_sensor()
         alone, pairs = [(one,) for one in PRESENT], list(combinations(PRESENT, 2))
@@ -116,8 +117,8 @@ def test_cameras_of_all_pairs_of_effects_are_predicted_and_what_they_lack_is_nam
         (("brighter_fatter", "read_noise"), "brighter_fatter"),
     ],
 )
-def test_what_neighbours_share_is_found_beside_other_noise(own, term):
-    """Without the term, the gain is 4 to 8 % too small, by 7 to 27 standard errors."""
+def test_noise_shared_by_neighbours_is_found_with_other_noise(own, term):
+    """Without the term, the gain is too small by 4 to 8 %, 7 to 27 standard errors."""
     with jax.enable_x64(True):
         truth = plain_sensor(**{name: PRESENT[name] for name in own})
         found = calibrate(measured(truth, 5018))
@@ -148,9 +149,9 @@ KEYS = {
 
 
 @pytest.mark.slow
-def test_the_camera_over_settings_has_what_was_found_at_each():
-    """A column offset and a full well change no mean and no variance below saturation, so the file
-    alone can name them."""
+def test_the_camera_over_settings_has_the_effects_of_each():
+    """A column offset and a full well change no mean and no variance below saturation, so only the
+    file can name them."""
     die = jax.random.key(3)
 
     @jax.jit
@@ -160,7 +161,7 @@ def test_the_camera_over_settings_has_what_was_found_at_each():
         return jv.raw_image(key, own, light, die_key=die)[..., 0]
 
     def taken(sensor, seed, photons):
-        """Fourteen levels of light, of which two fill the well, and six of dark."""
+        """Return fourteen light levels, two of which fill the well, and six dark levels."""
         keys = jax.random.split(jax.random.key(seed), (20, 4))
         closed, times = replace(sensor, light_offset=0.0), np.linspace(0.001, 0.024, 14)
         dark = times[::3][:5]

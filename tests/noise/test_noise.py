@@ -1,4 +1,4 @@
-"""The likelihood of photon transfer: bias, efficiency, coverage, and what it notices."""
+"""Tests the likelihood of photon transfer: bias, efficiency, coverage, and detected deviations."""
 
 import re
 from dataclasses import replace
@@ -50,8 +50,8 @@ def simulate(camera, *, seed=0, light=LIGHT, exposure=EXPOSURE, pixels=10_000, f
 
 
 @pytest.mark.slow
-def test_more_electrons_than_photons_is_a_finding_and_no_sensor():
-    """Photons stated ten times too low."""
+def test_more_electrons_than_photons_is_a_finding_and_gives_no_sensor():
+    """The stated number of photons is ten times too low."""
     measurement = simulate(CameraTruth())
     bright = replace(measurement.bright, light=measurement.bright.light / 10)
     wrong = noise_section(calibrate_noise(replace(measurement, bright=bright)))
@@ -60,7 +60,7 @@ def test_more_electrons_than_photons_is_a_finding_and_no_sensor():
 
 
 def fit_levels(template, inputs, rows, standard):
-    """The fit of a problem like `template` to other levels; it may be batched."""
+    """Return the fit of a problem like `template` to other levels, which may be batched."""
     there = ~jnp.isnan(rows)
     levels = jnp.where(there, rows, 0), there, inputs
     problem = eqx.tree_at(lambda p: (p.data, p.present, p.inputs), template, levels)
@@ -68,7 +68,8 @@ def fit_levels(template, inputs, rows, standard):
 
 
 def both_methods(measurements):
-    """(values, errors) of the standard's sheet and of the likelihood's, for a list of cameras."""
+    """Return (values, errors) of the standard's sheet and of the likelihood for a list of
+    cameras."""
     within, usable = ranges(measurements[0]), linear_levels(measurements[0])
     space = base_space(measurements[0], within)
     window, _ = needed_window(measurements[0], usable)
@@ -100,13 +101,15 @@ TRUTH = {
 
 
 def check_coverage(found, *, count, band):
-    """Every 95 % interval of both methods covers within `band`, and the bias is below 1 %."""
+    """Check that every 95 % interval of both methods covers within `band`, and that the bias is
+    below 1 %."""
     standard, likelihood, solution = found
     assert np.all(solution.converged)
     for name, true in TRUTH.items():
         for values, errors in (standard, likelihood):
             value, error = np.asarray(values[name]), np.asarray(errors[name])
-            # Intervals of positive figures are symmetric in the logarithm, as in the section.
+            # Intervals of positive values are symmetric in the logarithm, as in the report's
+            # section.
             covered = np.abs(np.log(value / true)) < 1.96 * error / value
             assert abs(covered.mean() - 0.95) <= band, name
             standard_error = value.std() / np.sqrt(count)
@@ -116,7 +119,7 @@ def check_coverage(found, *, count, band):
 
 @pytest.fixture(scope="module")
 def two_hundred():
-    # 1500 pixels: enough for the moments to be Gaussian, few enough to be quick.
+    # 1500 pixels are enough for Gaussian moments, and few enough to be quick.
     return both_methods([simulate(CameraTruth(), seed=i, pixels=1500) for i in range(200)])
 
 
@@ -125,7 +128,8 @@ def test_the_likelihood_is_efficient_and_beats_the_regressions(two_hundred):
     (standard, _), (likelihood, errors), _ = two_hundred
     for name in ("system_gain", "quantum_efficiency", "read_noise"):
         scatter = np.var(np.asarray(likelihood[name]))
-        # The error claimed is the Cramer-Rao bound; 200 values know their variance to 10 %.
+        # The claimed error is the Cramer-Rao bound. The variance of 200 values has an error of 10
+        # %.
         bound = np.median(np.asarray(errors[name]) ** 2)
         assert bound / scatter > 0.8, name
         assert np.var(np.asarray(standard[name])) > 1.4 * scatter, name
@@ -138,7 +142,7 @@ def test_intervals_cover_over_two_thousand_cameras():
 
 
 def brute_moments(mu, gain, read, offset, largest=400):
-    """Cumulants of the clipped, rounded signal by summing over electrons and codes."""
+    """Return cumulants of the clipped, rounded signal by summing over electrons and codes."""
     electrons = np.arange(600)
     edges = np.concatenate([[-np.inf], np.arange(largest) + 0.5, [np.inf]])
     cells = np.diff(norm.cdf((edges - offset - gain * electrons[:, None]) / (gain * read)), axis=1)
@@ -161,7 +165,7 @@ def brute_moments(mu, gain, read, offset, largest=400):
         (60.0, 0.5, 3.0, 20.0),
     ],
 )
-def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, offset):
+def test_quantised_moments_equal_those_of_the_summed_distribution(mu, gain, read, offset):
     expected = brute_moments(mu, gain, read, offset)
     deviation = np.sqrt(gain**2 * (mu + read**2) + 1 / 12)
     window = window_for((0,), np.array([expected[0]]), deviation=deviation, read_noise=gain * read)
@@ -174,7 +178,7 @@ def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, 
         np.testing.assert_allclose(value, true, atol=1e-6 * max(scale, 0.05) ** power)
 
 
-def test_scatter_that_no_memory_holds_is_a_sentence():
+def test_a_scatter_too_large_for_exact_sums_is_a_sentence():
     with pytest.raises(InputError, match=r"scatters by 4e\+11 DN rms where the darks scatter by 3"):
         window_for((0,), np.array([3.9]), deviation=4e11, read_noise=3.0)
 
@@ -188,7 +192,7 @@ def test_scatter_that_no_memory_holds_is_a_sentence():
     ],
     ids=["clipped black", "read noise of 0.2 DN"],
 )
-def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
+def test_exact_moments_correct_clipped_black_and_fine_read_noise(camera, top):
     light = np.linspace(top / 8, top, 8)
     exposure = np.full(8, 0.01)
     measured = [
@@ -215,14 +219,14 @@ def test_exact_moments_cure_clipped_black_and_fine_read_noise(camera, top):
         error = value * np.sqrt(covariance[:, i, i])
         assert abs(value.mean() - true) < 3.5 * value.std(ddof=1) / np.sqrt(16), name
         assert abs(value.mean() / true - 1) < 0.01, name
-        # 16 draws of 95 %: fewer than 12 happen once in 1000 times.
+        # Of 16 draws at 95 %, fewer than 12 cover once in 1000 times.
         assert np.sum(np.abs(value - true) < 1.96 * error) >= 12, name
     assert abs(np.mean(np.asarray(standard["read_noise"])) / camera.read_noise - 1) > 0.3
 
 
 @pytest.mark.parametrize("deviation", [0.3, 0.5, 0.65, 0.9])
-def test_the_usual_moments_are_left_where_no_fit_can_tell(deviation):
-    """The bound against sums over codes, for the mean between two codes at which it is worst."""
+def test_the_usual_moments_are_used_if_no_fit_can_see_the_difference(deviation):
+    """The bound is compared with sums over codes, for the worst mean between two codes."""
     codes, off = np.arange(60.0), []
     for mean in np.linspace(20, 21, 41):
         share = np.diff(norm.cdf((np.append(codes, 60) - 0.5 - mean) / deviation))
@@ -275,8 +279,8 @@ def test_a_linear_camera_is_called_linear():
 
 @pytest.fixture(scope="module")
 def bent():
-    """A camera whose gain falls by 4 %, on a bench with an unsteady lamp and a late shutter, its
-    black level wandering."""
+    """Return a camera whose gain falls by 4 %, with a flickering lamp, a late shutter and a
+    drifting black level."""
     camera = CameraTruth(
         compression=0.02,
         top=0.15 * 6000,
@@ -291,7 +295,7 @@ def bent():
 
 
 @pytest.mark.slow
-def test_a_bent_characteristic_is_noticed_and_undone(bent):
+def test_a_nonlinear_response_is_detected_and_corrected(bent):
     camera, calibration = bent
     assert calibration.linear.p_value < 1e-10
     chosen = calibration.chosen
@@ -318,7 +322,8 @@ def test_a_bent_characteristic_is_noticed_and_undone(bent):
 
 @pytest.mark.slow
 def test_sentences_quote_the_numbers_of_the_table():
-    """Of a wandering black level, whose posterior is skew: its median, and not its mode."""
+    """The posterior for a drifting black level is skewed, so the sentence quotes its median, not
+    its mode."""
     rng, n = np.random.default_rng(11), 10_000
     light, exposure = np.linspace(500, 6000, 8), np.linspace(1e-3, 1e-2, 8)
     black = 60 + rng.normal(size=16)
@@ -335,7 +340,7 @@ def test_sentences_quote_the_numbers_of_the_table():
 
 
 @pytest.mark.slow
-def test_a_bent_camera_is_told_in_words(bent):
+def test_a_nonlinear_camera_is_described_in_words(bent):
     _, calibration = bent
     told = " ".join(noise_section(calibration).findings)
     for words in (
@@ -347,7 +352,7 @@ def test_a_bent_camera_is_told_in_words(bent):
         "off by",
     ):
         assert words in told
-    # The standard's regression sees the mean slope of the bent curve.
+    # The standard's regression gives the mean slope of the curve.
     standard = float(calibration.standard.values["system_gain"])
     error = float(calibration.standard.errors["system_gain"])
     assert abs(calibration.likelihood.standard_of_chosen - standard) < 4 * error
@@ -357,7 +362,7 @@ def test_a_bent_camera_is_told_in_words(bent):
 
 
 @pytest.mark.slow
-def test_the_section_has_both_methods_and_draws_its_pictures(bent):
+def test_the_section_has_both_methods_and_its_pictures(bent):
     _, calibration = bent
     with jax.enable_x64(False):  # as in the command; a warning of lost digits is an error here
         section = noise_section(calibration)
@@ -391,7 +396,7 @@ def test_light_in_seconds_gives_a_gain_but_no_efficiency():
 
 
 def test_newton_leaves_a_saddle_and_finds_the_minimum():
-    # x^4 - 2 x^2 + y^2 / 2 has minima at (+-1, 0) and a saddle at the origin.
+    # x^4 - 2 x^2 + y^2 / 2 has minima at (+-1, 0) and a saddle point at the origin.
     found = minimise(_double_well, jnp.array([1e-3, 3.0]), jnp.asarray(2.0))
     assert bool(found.converged)
     np.testing.assert_allclose(np.abs(found.vector), [1, 0], atol=1e-3)
@@ -409,7 +414,7 @@ def test_newton_refuses_steps_out_of_bounds():
 
 
 def _barrier(vector, target):
-    # -log x + x / target: not finite for x < 0.
+    # -log x + x / target is not finite for x < 0.
     return (vector / target - jnp.log(vector)).sum()
 
 
@@ -451,15 +456,15 @@ def test_a_rig_gives_fixed_pattern_by_both_methods(tmp_path):
 @pytest.mark.slow
 def test_a_noise_free_curve_is_fitted_exactly():
     camera = CameraTruth()
-    # Means that do not scatter at all pull each variance down by 1 / pixels.
+    # Means without scatter reduce each variance by 1 / pixels.
     measured, _, _ = noise_free(camera, LIGHT, EXPOSURE, pixels=10_000_000)
     calibration = calibrate_noise(measured)
     for name, true in TRUTH.items():
         np.testing.assert_allclose(find(calibration.sheet, name).value, true, rtol=1e-6)
 
 
-def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
-    """Stacks of L frames of pixels without pattern, and with one as strong as the noise."""
+def test_the_variance_of_a_pattern_variance_equals_that_of_repetitions():
+    """The stacks have L frames of pixels without a pattern, and with one as strong as the noise."""
     rng, n, repetitions = np.random.default_rng(8), 200, 1500
     for count, fixed in ((2, 0.0), (2, 1.0), (5, 0.0)):
         pattern = np.sqrt(fixed) * np.sqrt(2) * np.sin(2 * np.pi * np.arange(n) / n)
@@ -469,7 +474,7 @@ def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
         levels = Levels(ones, ones, ones, ones, count * ones, n * one, (fixed + 1 / count) * ones)
         found, by_noise = pattern_variance(levels)
         np.testing.assert_allclose(found, fixed, atol=1e-6)
-        np.testing.assert_allclose(by_noise, spatial.var(), rtol=0.15)  # known to 4 %
+        np.testing.assert_allclose(by_noise, spatial.var(), rtol=0.15)  # with an error of 4 %
 
 
 @pytest.mark.parametrize(
@@ -479,7 +484,7 @@ def test_the_scatter_of_a_pattern_variance_is_that_of_repetitions():
         *((1.3, 1.29, "which no sensor has"), (1.006, 0.993, "is 100 % within its error")),
     ],
 )
-def test_an_efficiency_that_no_sensor_has_is_told(efficiency, least, said):
+def test_an_impossible_efficiency_is_named(efficiency, least, said):
     found = SimpleNamespace(efficiency=efficiency, least_efficiency=least)
     words = told(found, "low efficiency", "high efficiency", "efficiency of one")
     assert said in " ".join(words)
@@ -487,8 +492,8 @@ def test_an_efficiency_that_no_sensor_has_is_told(efficiency, least, said):
 
 
 @pytest.mark.slow
-def test_a_level_darker_than_its_dark_leaves_the_gain(tmp_path):
-    """One dark of 256 DN in the middle; .25 DN/e- tells mean and variance of the others."""
+def test_a_level_darker_than_its_dark_does_not_change_the_gain(tmp_path):
+    """One dark in the middle is 256 DN. Means and variances of the others give .25 DN/e-."""
     head = "exposure_ms,photons_per_pixel,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2"
     rows = [(50, 72.5, 12.6), (100, 85.1, 15.7), (500, 185.0, 40.7), (2000, 560.2, 134.4)]
     rows += [(5000, 1310.1, 321.9), (10000, 2560.4, 634.1), (2000, 560.2, 134.4)]

@@ -1,4 +1,5 @@
-"""Tables of codes below one electron of read noise, against simulated cameras of known numbers."""
+"""Tests calibration from tables of codes, below one electron of read noise, against simulated
+cameras."""
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ GAIN = 8.0
 
 
 def measured(read_noise=0.3, dsnu=0.0, gain=GAIN, prnu=0.0, darks=8, seed=0, shape=(40, 40)):
-    """Two frames of each light: Poisson electrons, own black of each pixel, rounding."""
+    """Return two frames at each light: Poisson electrons, the black level of each pixel,
+    rounding."""
     rng = np.random.default_rng(seed)
     black = 300 + gain * dsnu * rng.standard_normal(shape)
     own = 1 + prnu * rng.standard_normal(shape)
@@ -37,9 +39,9 @@ def measured(read_noise=0.3, dsnu=0.0, gain=GAIN, prnu=0.0, darks=8, seed=0, sha
 
 
 @pytest.mark.parametrize("dsnu", [0.3, 3.0])
-def test_tables_hold_each_code_beyond_its_pixels_own_black(dsnu):
-    """Their shares are those of a plain sum, with the noise of eight dark frames beside that of the
-    flat; chi-square over cells of 10 and more, whatever the offsets."""
+def test_tables_count_codes_above_each_pixels_own_black(dsnu):
+    """Their shares are those of a plain sum, with the noise of eight dark frames added to that of
+    the flat, by chi-square over cells of 10 and more, for any offsets."""
     tables = measured(dsnu=dsnu, shape=(100, 100)).tables
     noise = np.hypot(GAIN * 0.3, np.sqrt(float(tables.known[0])))
     n = np.arange(40)[:, None]
@@ -56,13 +58,13 @@ def test_tables_hold_each_code_beyond_its_pixels_own_black(dsnu):
         assert stats.chi2.sf(chi_square, seen.sum()) > 1e-4
 
 
-def test_codes_are_counted_only_where_they_tell_more_than_moments():
+def test_codes_are_counted_only_if_they_are_more_informative_than_moments():
     assert measured(read_noise=3.0).tables is None
     assert not len(dim_levels(measured(read_noise=3.0)))
     coarse = measured(gain=0.8)
     assert coarse.tables is None
     assert any("steps between codes are too wide" in one for one in coarse.remarks)
-    uneven = measured(prnu=0.2)  # 20 % of 0.3 e- from 0.3 electrons on
+    uneven = measured(prnu=0.2)  # 20 % exceeds 0.3 e- from 0.3 electrons on
     assert uneven.tables is None or np.asarray(uneven.tables.level).max() == 0
     fine = measured()
     np.testing.assert_array_equal(np.unique(fine.tables.level), np.arange(5))
@@ -70,7 +72,8 @@ def test_codes_are_counted_only_where_they_tell_more_than_moments():
 
 @pytest.mark.slow
 def test_a_camera_below_an_electron_is_calibrated_by_its_histograms():
-    """DSNU of ten read noises. The standard knows the gain to 4 % here, the histogram to .1 %."""
+    """The DSNU is ten times the read noise. The standard gives the gain within 4 %, and the
+    histogram within .1 %."""
     found = calibrate(measured(dsnu=3.0))
     gain, read = found.estimates["system_gain"], found.estimates["read_noise"]
     assert gain.standard_error < 0.002 * GAIN
@@ -88,9 +91,10 @@ def test_a_camera_below_an_electron_is_calibrated_by_its_histograms():
 @pytest.mark.parametrize(
     ("read_noise", "dsnu", "darks"), [(0.3, 0.3, 8), (0.3, 3.0, 4), (1.0, 3.0, 8)]
 )
-def test_errors_of_the_histogram_are_right_whatever_the_offsets(read_noise, dsnu, darks):
-    """40 cameras: z of gain, read noise and light has mean 0 and standard deviation of at most 1
-    within four errors; frames that share a dark make the errors a little wide."""
+def test_errors_of_the_histogram_are_right_for_any_offsets(read_noise, dsnu, darks):
+    """Over 40 cameras, z of gain, read noise and light has mean 0 and a standard deviation of at
+    most 1, within four errors. Frames that share a dark make the stated errors slightly too
+    large."""
     fitted, z = double_precision(fitted_tables), []
     for seed in range(40):
         one = fitted(measured(read_noise, dsnu, darks=darks, seed=seed))

@@ -1,4 +1,4 @@
-"""A mosaic whose frames were mirrored or cropped has its two greens where other colours are."""
+"""Tests that a mosaic whose frames were mirrored or cropped is detected by its two greens."""
 
 from types import SimpleNamespace
 
@@ -7,11 +7,11 @@ import pytest
 
 from fitting.noise.sites import COLOUR_SITES, unequal_greens
 
-LIGHT = np.linspace(0.0, 1000.0, 5)  # the first is lit by stray light alone
+LIGHT = np.linspace(0.0, 1000.0, 5)  # the first has stray light only
 
 
 def measured(signal):
-    """A site of 60 DN without light."""
+    """Return a site with 60 DN without light."""
     return SimpleNamespace(
         bright=SimpleNamespace(light=LIGHT, mean=60 + signal * LIGHT),
         dark=SimpleNamespace(mean=np.array([60.0])),

@@ -1,5 +1,6 @@
-"""Covariances of neighbouring pixels in flats: their sums, and charges that repel each other told
-from a compression, against frames drawn with the spectrum of Astier et al. (2019) in NumPy."""
+"""Tests covariances of neighbouring pixels in flats: their sums, and the distinction of the
+brighter-fatter effect from compression, with frames drawn in NumPy from the spectrum of Astier et
+al. (2019)."""
 
 from dataclasses import replace
 from functools import cache
@@ -37,7 +38,7 @@ def spectrum(mu, changes):
 
 
 def frames(rng, mu, changes, compression, mixing):
-    """Digital numbers of (FRAMES, SIZE, SIZE) pixels of a periodic sensor."""
+    """Return digital numbers, (FRAMES, SIZE, SIZE), of a periodic sensor."""
     white = np.fft.fft2(rng.standard_normal((FRAMES, SIZE, SIZE)))
     charge = mu + np.fft.ifft2(white * np.sqrt(spectrum(mu, changes))).real
     x = GAIN * charge
@@ -58,7 +59,7 @@ def measured(*, repelling=True, compression=0.0, mixing=0.0, seed=5):
     return noise.from_frames(flats, darks, times, list(2 * electrons), camera=Camera(bits=16))
 
 
-def test_sums_over_frames_are_those_of_plain_loops():
+def test_sums_over_frames_equal_plain_loops():
     rng = np.random.default_rng(0)
     stack = rng.standard_normal((5, 7, 9))
     stack -= stack.mean(axis=(1, 2), keepdims=True)
@@ -81,7 +82,7 @@ def test_sums_over_frames_are_those_of_plain_loops():
             assert got[i, j] == pytest.approx(np.mean(found), abs=1e-12), (i, j)
 
 
-def test_the_series_is_that_of_the_sensor():
+def test_the_series_equals_the_sensors():
     nearest = np.zeros((LARGEST_LAG + 1, LARGEST_LAG + 1))
     nearest[0, 0], nearest[0, 1], nearest[1, 0] = 1.0, -0.25, -0.25
     for shape in (nearest, CHANGES / CHANGES[0, 0]):
@@ -91,7 +92,7 @@ def test_the_series_is_that_of_the_sensor():
 
 
 def check(calibration, *, compression=0.0):
-    """Every figure within 3.5 errors of the truth."""
+    """Check that every estimate is within 3.5 standard errors of its true value."""
     chosen = calibration.chosen
     assert chosen.p_value > 1e-3
     gain = float(chosen.values["system_gain"])
@@ -102,15 +103,16 @@ def check(calibration, *, compression=0.0):
     if compression:
         top = float(chosen.data.top_signal) / (GAIN * TOP)
         found, error = float(chosen.values["compression"]), chosen.errors["compression"]
-        # the measured top is itself compressed
+        # the measured top is compressed itself
         assert abs(found - compression * top) < 3.5 * error + 0.03 * compression
     else:
         assert "compression" not in chosen.values
 
 
 @pytest.mark.slow
-def test_repelling_charges_are_told_from_a_compression():
-    """Both planted, both found; the areas of all neighbours; and a sensor that predicts."""
+def test_brighter_fatter_effect_and_compression_are_distinguished():
+    """Both effects are simulated and found, with the area changes of all neighbours, and the fitted
+    sensor predicts them."""
     calibration = calibrate(measured(compression=0.02))
     check(calibration, compression=0.02)
     changes = fitted_area_changes(calibration.measurement, calibration.usable, calibration.chosen)
@@ -137,20 +139,20 @@ def test_repelling_charges_are_told_from_a_compression():
 
 
 @pytest.mark.slow
-def test_repelling_charges_alone_need_no_compression():
+def test_the_brighter_fatter_effect_alone_needs_no_compression():
     check(calibrate(measured()))
 
 
 @pytest.mark.slow
-def test_a_compression_is_not_taken_for_repelling_charges():
+def test_a_compression_is_not_taken_for_the_brighter_fatter_effect():
     chosen = calibrate(measured(repelling=False, compression=0.02)).chosen
     assert "compression" in chosen.values
     assert not {"brighter_fatter", "pixel_mixing"} & chosen.values.keys()
 
 
 @pytest.mark.slow
-def test_mixing_grows_with_light_and_not_with_its_square():
-    """Weights of .952 and .012: sum w^2 = 1 - .093 of the variance stays."""
+def test_mixing_is_proportional_to_light_and_not_to_its_square():
+    """With weights of .952 and .012, the sum of w^2 = 1 - .093 of the variance remains."""
     calibration = calibrate(measured(repelling=False, mixing=0.012, seed=7))
     chosen = calibration.chosen
     assert "brighter_fatter" not in chosen.values
@@ -160,8 +162,9 @@ def test_mixing_grows_with_light_and_not_with_its_square():
 
 
 @pytest.mark.slow
-def test_without_covariances_only_the_means_tell_them_apart():
-    """As of a table: both are still found, and the report says on what that rests."""
+def test_without_covariances_only_the_means_distinguish_them():
+    """For a table, both effects are still found, and the report says that this depends on the
+    means."""
     whole = measured(compression=0.02)
     levels = [replace(of, covariances=None) for of in (whole.bright, whole.dark)]
     calibration = calibrate(replace(whole, bright=levels[0], dark=levels[1]))

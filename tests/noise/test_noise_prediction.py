@@ -1,4 +1,5 @@
-"""What a written camera predicts: frames of known cameras, whose moments are in closed form."""
+"""Tests predictions by a calibrated camera's file, with frames of known cameras whose moments have
+closed forms."""
 
 from dataclasses import replace
 
@@ -37,7 +38,7 @@ PLAIN = jv.Sensor(
 
 
 def closed_form(photons, seconds, *, rows=0.0, curve=0.0, leak=0.0, mixed=0.0, repelled=0.0):
-    """Mean, variance, covariances along rows and along columns of pixels, DN: by hand."""
+    """Return mean, variance, and covariances along rows and columns in DN, written out."""
     electrons = EFFICIENCY * (photons + leak * (photons > 0)) + CURRENT * seconds
     top = EFFICIENCY * PHOTONS[-1]
     slope = GAIN * (1 - 2 * curve * electrons / top)
@@ -50,7 +51,8 @@ def closed_form(photons, seconds, *, rows=0.0, curve=0.0, leak=0.0, mixed=0.0, r
 
 
 def measured(rng, *, chance=1.0, **planted):
-    """Flats and darks whose statistics scatter about the closed form as those of frames do."""
+    """Return flats and darks whose statistics scatter about the closed form like those of
+    frames."""
     n = SIZE**2
     shared = (GAIN * planted.get("rows", 0.0)) ** 2
 
@@ -104,8 +106,8 @@ def test_a_sensor_predicts_the_closed_form_of_every_quantity():
     np.testing.assert_allclose(found.found.values[0], found.measured[0], rtol=1e-5)
 
 
-def test_a_true_camera_is_missed_by_no_more_than_chance():
-    """Chi-squares of 60 measurements against their distribution."""
+def test_a_true_camera_agrees_within_chance():
+    """Chi-squares of 60 measurements follow their distribution."""
     chi_squares = {"means": [], "variances": [], "covariances of neighbours": []}
     sensor = replace(PLAIN, row_noise=6.0)
     for seed in range(60):
@@ -130,7 +132,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("effect", PLANTED)
-def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
+def test_a_simulated_effect_that_the_camera_lacks_is_named(effect):
     named = []
     for seed in range(2):
         prediction = predict(PLAIN, measured(np.random.default_rng(seed), **PLANTED[effect]))
@@ -143,7 +145,7 @@ def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
     assert named == [[effect]] * 2
 
 
-def test_an_effect_of_no_known_kind_is_not_named():
+def test_an_unknown_effect_is_not_named():
     made = measured(np.random.default_rng(1))
     waves = 1 + 0.02 * np.sin(np.arange(12.0))[:, None, None] ** 3
     covariances = np.asarray(made.bright.covariances).copy()
@@ -155,7 +157,8 @@ def test_an_effect_of_no_known_kind_is_not_named():
 
 
 def test_the_report_has_each_level_beside_its_prediction():
-    """Measured, predicted, and their difference over the error, of mean and variance."""
+    """The table has measured and predicted mean and variance, and their difference over the
+    error."""
     found = predict(PLAIN, measured(np.random.default_rng(1)))
     told = section(found)
     assert any("The frames agree with it within their errors" in one for one in told.findings)
@@ -172,13 +175,13 @@ def test_the_report_has_each_level_beside_its_prediction():
     np.testing.assert_allclose([row[5] for row in levels.rows], found.main_comparison.measured[1])
 
 
-def test_frames_that_are_averages_scatter_too_little():
+def test_averaged_frames_scatter_too_little():
     made = measured(np.random.default_rng(2), chance=0.05)
     told = findings(predict(PLAIN, made))
     assert any("scatter less about the prediction than independent frames" in one for one in told)
 
 
-def test_light_that_is_known_roughly_widens_the_errors():
+def test_an_error_of_the_light_widens_the_errors():
     made = measured(np.random.default_rng(3))
     off = 1 + 0.01 * np.random.default_rng(4).standard_normal(12)
     bright = replace(made.bright, light=made.bright.light / off)
@@ -195,7 +198,7 @@ def test_light_that_is_known_roughly_widens_the_errors():
 
 def test_without_photons_the_means_give_the_rate_of_the_light():
     made = measured(np.random.default_rng(5))
-    light = made.bright.exposure * 1.3  # a lamp of another power, counted in seconds
+    light = made.bright.exposure * 1.3  # another lamp power, counted in seconds
     rate = PHOTONS / np.asarray(light)
     made = replace(made, bright=replace(made.bright, light=jnp.asarray(PHOTONS / rate.mean())))
     made = replace(made, photons_known=False)
@@ -207,7 +210,7 @@ def test_without_photons_the_means_give_the_rate_of_the_light():
 
 
 def frames_of(sensor, key, photons, seconds, count=FRAMES, size=64):
-    """Frames of one level, drawn by the library."""
+    """Return frames of one level, drawn by the library."""
     keys = jax.random.split(jax.random.fold_in(jax.random.key(3), key), count)
     light = jnp.full((size, size, 1), photons / seconds)
     sensor = replace(sensor, exposure_time=seconds)
@@ -217,7 +220,8 @@ def frames_of(sensor, key, photons, seconds, count=FRAMES, size=64):
 
 @pytest.fixture(scope="module")
 def afternoon():
-    """The camera whose findings name noise of rows, unequal columns and the well."""
+    """Return the camera and its calibration, whose findings name row noise, unequal columns and the
+    well."""
     sensor = replace(PLAIN, row_noise=7.5, column_dsnu=12.0, full_well=14_000.0)
     photons, seconds = np.linspace(600.0, 33_000.0, 11), np.full(11, 0.01)
     flats = [frames_of(sensor, i, light, 0.01) for i, light in enumerate(photons)]
@@ -230,7 +234,7 @@ def afternoon():
 
 
 @pytest.mark.slow
-def test_every_effect_that_is_found_is_in_the_written_file(afternoon, tmp_path):
+def test_every_effect_found_is_in_the_written_file(afternoon, tmp_path):
     truth, calibration = afternoon
     best, draws = fitted_sensor(calibration)
     jv.write_sensor(best, tmp_path / "sensor.toml", draws=draws)
@@ -260,8 +264,8 @@ def test_levels_kept_out_of_the_fit_are_predicted(afternoon):
 
 
 @pytest.mark.slow
-def test_the_prediction_rests_on_the_file_and_on_no_fit(afternoon, monkeypatch):
-    """A wrong gain in the file is a missed prediction, whatever the fit found."""
+def test_the_prediction_uses_the_file_and_no_fit(afternoon, monkeypatch):
+    """A wrong gain in the file makes the prediction fail, whatever the fit found."""
     _, calibration = afternoon
     best, _ = fitted_sensor(calibration)
     wrong = replace(best, gain=1.02 * float(np.asarray(best.gain)))
@@ -272,7 +276,7 @@ def test_the_prediction_rests_on_the_file_and_on_no_fit(afternoon, monkeypatch):
 
 
 @pytest.mark.slow
-def test_neighbours_that_are_mixed_are_found_though_means_and_variances_are_linear():
+def test_mixed_neighbours_are_found_although_moments_are_linear():
     made = measured(np.random.default_rng(7), mixed=0.06)
     calibration = calibrate(made)
     fit = calibration.chosen
@@ -307,7 +311,7 @@ def test_bad_input_is_named(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("read", "dsnu"), [(0.3, 1.0), (0.3, 0.25), (0.2, 4.0), (0.3, 0.0)])
 def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
-    """Codes of .8 DN/e- about 64.3 by the Normal distribution function."""
+    """The reference takes codes at .8 DN/e- about 64.3 from the normal distribution function."""
     gain, black = 0.8, 64.3
     sensor = jv.Sensor(read_noise=read, dsnu=dsnu, gain=gain, offset=black, bits=12)
     dark = Lit(np.zeros(1), np.full(1, 0.01), np.zeros(1))
@@ -325,7 +329,7 @@ def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
 
 
 @pytest.mark.parametrize("left_out", ["read_noise", "shot_noise"])
-def test_a_camera_without_a_noise_predicts_means_alone(left_out):
+def test_a_camera_without_noise_predicts_only_means(left_out):
     made = measured(np.random.default_rng(3))
     found = predict(replace(PLAIN, **{left_out: None}), made)
     assert list(found.main_comparison.agreement) == ["means"]
@@ -335,7 +339,7 @@ def test_a_camera_without_a_noise_predicts_means_alone(left_out):
         f"states no {left_out}" in told and f"{dark:.3g} DN rms in the dark" in told
         for told in findings(found)
     )
-    # What means tell is still found: 2 % more light than stated, by no more than its error.
+    # The means still detect 2 % more light than stated, beyond its error.
     lit = replace(made, bright=replace(made.bright, light=made.bright.light / 1.02))
     (more,) = predict(replace(PLAIN, **{left_out: None}), lit).missing
     assert more.key == "light"
@@ -365,7 +369,8 @@ def test_a_gain_that_saturates_every_level_is_refused_and_a_missing_one_is_said(
 
 @pytest.mark.slow
 def test_one_camera_file_predicts_the_taps_of_a_folder(tmp_path):
-    """Even and odd columns; a camera of one amplifier names gain and black of the other."""
+    """Even and odd columns differ. A camera file of one amplifier names gain and black level of the
+    other."""
     rng, odd = np.random.default_rng(0), np.arange(96) % 2
     text = "camera = {bits = 12, taps = [1, 2]}\n"
     levels = [("flat", f"photons = {light}", light) for light in np.linspace(500, 20_000, 10)]

@@ -1,4 +1,5 @@
-"""What a camera predicts of frames that were processed, and of other dies of the same camera."""
+"""Tests what a camera's prediction says about processed frames, and about other dies of the same
+camera."""
 
 import itertools
 import re
@@ -47,7 +48,8 @@ def series(
     count=4,
     lamp=lambda number: 1.0,
 ):
-    """Flats and darks of `count` frames; `process` takes a function that takes the next frame."""
+    """Return flats and darks of `count` frames. `process` gets a function that returns the next
+    frame."""
     rng = np.random.default_rng(seed)
     gains, offsets = (
         1 + prnu * rng.normal(size=(size, size)),
@@ -105,7 +107,7 @@ def binned(frame):
     ],
     ids=["averaged", "binned", "smoothed", "sharpened"],
 )
-def test_noise_that_was_filtered_is_named(process, keys, words):
+def test_filtered_noise_is_named(process, keys, words):
     found = predicted(*series(1, process))
     named = {one.key for one in found.missing}
     assert keys <= named
@@ -116,7 +118,7 @@ def test_noise_that_was_filtered_is_named(process, keys, words):
 @pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
-    """Means of gains and offsets of 64 x 64 pixels deviate by 1/64 of PRNU and DSNU."""
+    """Means of gains and offsets over 64 x 64 pixels deviate by 1/64 of PRNU and DSNU."""
     found = predicted(*series(10 + seed, prnu=0.05, dsnu=20.0), sensor=SENSOR_OF_UNEQUAL_PIXELS)
     assert found.main_comparison.missed == []
     of_means = found.main_comparison.camera[:16, :16]
@@ -129,7 +131,7 @@ def test_another_die_is_predicted_within_the_spread_of_its_pixels(seed):
 
 @pytest.mark.slow
 def test_a_gain_of_twice_the_stated_one_has_its_size():
-    """Also beside a light that is .8 of the stated one."""
+    """The gain is found also with .8 of the stated light."""
     for stated in (1.0, 2.5):
         frames = series(2, gain=2 * GAIN, light=0.4)
         made = from_frames(
@@ -144,7 +146,7 @@ def test_a_gain_of_twice_the_stated_one_has_its_size():
             assert float(one) == pytest.approx(100 * (1 - 1 / stated), abs=1.5)
 
 
-def test_frames_that_were_divided_by_a_flat_are_named():
+def test_frames_divided_by_a_flat_are_named():
     flats, darks = series(3)
     gains = np.mean(flats[-1], axis=0) - np.mean(darks[-1], axis=0)
     gains = gains / gains.mean()
@@ -152,7 +154,7 @@ def test_frames_that_were_divided_by_a_flat_are_named():
     assert any("as after a division by a flat" in one for one in findings(predicted(flats, darks)))
 
 
-def test_darks_that_were_subtracted_from_their_frames_are_named():
+def test_subtracted_darks_are_named():
     flats, darks = series(4)
     own = [np.round(np.mean(level, axis=0)) - BLACK for level in darks]
     flats, darks = (
@@ -164,7 +166,7 @@ def test_darks_that_were_subtracted_from_their_frames_are_named():
 
 
 @pytest.mark.slow
-def test_what_does_not_fit_the_numbers_of_the_camera_is_said():
+def test_frames_of_converted_numbers_are_named():
     flats, darks = series(5)
     for change, bits, words in (
         (lambda x: x // 16, 8, "8, as a copy of fewer bits"),
@@ -186,15 +188,15 @@ def test_exposures_in_another_unit_and_clipped_black_are_named():
     assert any("black was subtracted, and numbers below 0 became 0" in one for one in told)
 
 
-def test_frames_that_are_left_out_are_said():
+def test_frames_that_are_left_out_are_named():
     flats, darks = series(7)
     flats[3][1] = flats[6][1]
     told = findings(predicted(flats, darks))
     assert any(one.startswith("flats[3][1] was left out") for one in told)
 
 
-def test_a_dark_current_of_temperature_is_that_of_its_temperature():
-    """At the reference temperature, Arrhenius' law gives the rate itself."""
+def test_a_temperature_dependent_dark_current_uses_its_temperature():
+    """At the reference temperature Arrhenius' law gives the rate itself."""
     law = jv.ArrheniusDarkCurrent(CURRENT, 300.0, 300.0, 0.6)
     frames = series(11)
     plain, warm = (
@@ -219,14 +221,15 @@ def test_a_dark_current_of_temperature_is_that_of_its_temperature():
     ],
 )
 def test_another_spread_of_gains_or_offsets_is_named(changed, words):
-    """Larger ones also under a light that falls by half, which adds to the spread of a frame."""
+    """A larger spread is also found under light that falls by half, which adds to a frame's
+    spread."""
     for light in (1.0, np.linspace(1.0, 0.5, 64))[: 1 + ("less" not in words)]:
         found = findings(predicted(*series(1, shading=light, **changed)))
         assert sum("pixels differ" in one for one in found) == 1
         assert any(re.search(words, one) for one in found)
 
 
-def test_uneven_light_is_no_spread_of_gains():
+def test_uneven_light_is_not_a_spread_of_gains():
     found = findings(predicted(*series(3, shading=np.linspace(1.0, 0.5, 64))))
     assert not any("pixels differ" in one for one in found)
 
@@ -243,7 +246,7 @@ def test_means_that_were_rounded_again_are_explained(count):
 @pytest.mark.slow
 @pytest.mark.parametrize("lowest", [62, 65])
 def test_black_that_was_clipped_above_0_is_predicted(lowest):
-    """The camera's own code 0 is below it."""
+    """The camera's own code 0 is below the clipping level."""
     frames = series(1)
     found = predicted(*([[np.maximum(one, lowest) for one in x] for x in y] for y in frames))
     assert found.main_comparison.missed == []
@@ -269,8 +272,8 @@ def test_halves_of_unequal_gain_are_named(where):
 
 
 @pytest.mark.slow
-def test_light_that_falls_to_the_corners_makes_no_halves():
-    """By 70 %, off centre, also with a lamp whose light falls to one side."""
+def test_vignetting_is_not_named_as_unequal_halves():
+    """The light falls by 70 %, off centre, or to one side."""
     rows, columns = np.mgrid[-1:1:64j, -1:1:64j]
     for shading in (
         1 - 0.35 * ((rows - 0.2) ** 2 + (columns + 0.1) ** 2),
@@ -282,7 +285,7 @@ def test_light_that_falls_to_the_corners_makes_no_halves():
 
 @pytest.mark.slow
 def test_photons_in_another_unit_are_named():
-    """Per second instead of per exposure, and a thousand times too many."""
+    """They are per second instead of per exposure, or a thousand times too many."""
     frames, camera = series(1, count=2), Camera(bits=12)
     with pytest.raises(InputError, match="so they are stated per second; give photons per pixel"):
         from_frames(*frames, list(SECONDS), list(PHOTONS / SECONDS), camera=camera)
@@ -294,7 +297,8 @@ def test_photons_in_another_unit_are_named():
 
 @pytest.mark.slow
 def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
-    """Light that rises by 30 % to one side; the mean is 10 standard deviations below the end."""
+    """The light rises by 30 % to one side. The mean is 10 standard deviations below the end of the
+    range."""
     flats, darks = series(3, shading=1 + np.linspace(-0.3, 0.3, 64), count=2)
     measured = from_frames(flats, darks, list(SECONDS), list(PHOTONS), camera=Camera(bits=12))
     assert measured.clear.all()
@@ -310,7 +314,7 @@ def test_levels_that_saturate_in_a_part_of_the_frame_are_not_used():
 
 
 def transfer(gain_of_darks, *, current=0.0, size=128, count=4, seed=0):
-    """Flats of 8 levels of one lamp, with darks of another gain and dark current (e⁻/s)."""
+    """Return flats of 8 levels of one lamp, with darks of another gain and dark current (e⁻/s)."""
     rng = np.random.default_rng(seed)
 
     def frames(signal, gain):
@@ -343,8 +347,8 @@ def test_darks_of_the_same_camera_have_the_noise_of_its_flats():
 
 
 @pytest.mark.slow
-def test_the_part_of_dark_current_in_the_signal_is_said():
-    """A tenth of the signal of the light."""
+def test_the_share_of_dark_current_in_the_signal_is_reported():
+    """The dark current is a tenth of the signal of the light."""
     current = 0.1 * EFFICIENCY * 1e5
     told = " ".join(findings_of(calibrate(transfer(GAIN, current=current, size=64))))
     assert "Dark current gives 10 % of the signal of the light" in told
@@ -352,8 +356,8 @@ def test_the_part_of_dark_current_in_the_signal_is_said():
 
 
 @pytest.mark.slow
-def test_a_lamp_that_warms_up_is_no_curved_response():
-    """By 6 %, with a decay over 10 frames."""
+def test_a_lamp_that_warms_up_is_not_a_curved_response():
+    """The lamp rises by 6 %, with a time constant of 10 frames."""
     flats, darks = series(1, lamp=lambda number: 1 - 0.06 * np.exp(-number / 10))
     made = from_frames(flats, darks, list(SECONDS), list(PHOTONS), camera=Camera(bits=12))
     found = drifting(made, linear_levels(made))
@@ -369,7 +373,7 @@ def test_a_lamp_that_warms_up_is_no_curved_response():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("flicker", [0.0, 0.001, 0.01])
-def test_light_that_flickers_does_not_warm_up(flicker):
+def test_flicker_is_not_called_warming_up(flicker):
     for seed in range(4):
         rng = np.random.default_rng(seed)
         frames = series(seed, lamp=lambda number, rng=rng: 1 + flicker * rng.normal())

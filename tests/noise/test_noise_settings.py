@@ -1,5 +1,6 @@
-"""Photon transfer over gains and temperatures: intervals of the joint fit hold the truth, claims
-that fail are found and given up, a rig of several settings goes through the command."""
+"""Tests photon transfer over gains and temperatures: intervals of the joint fit cover the true
+values, assumptions that fail are found and given up, and the command handles a rig of several
+settings."""
 
 import json
 from dataclasses import replace
@@ -57,7 +58,7 @@ from jaxvision.files.images import write_image
 run = partial(called, app)
 GAINS, KELVIN = (100.0, 200.0, 400.0, 800.0), (278.0, 293.0, 308.0)
 SETTINGS = tuple(Setting(gain, "ISO", t) for gain in GAINS for t in KELVIN)
-PER_ISO, EFFICIENCY = 1e-3, 0.6  # DN/e- a unit of ISO; electrons per photon
+PER_ISO, EFFICIENCY = 1e-3, 0.6  # DN/e- per unit of ISO; electrons per photon
 BEFORE, BEHIND = 3.0, 0.8  # e-, DN
 RATE, ENERGY, REFERENCE = 100.0, 0.65, 308.0  # e-/s, eV, K
 TRUTH = np.array(
@@ -71,18 +72,19 @@ TRUTH = np.array(
     ]
 )
 ISO, WARMTH = (np.array([getattr(s, name) for s in SETTINGS]) for name in ("gain", "temperature"))
-ERRORS = np.array([0.01, 2e-4, 0.015, 0.2])  # of ln K, ln R, ln sigma_d, I of one setting
+ERRORS = np.array([0.01, 2e-4, 0.015, 0.2])  # of ln K, ln R, ln sigma_d and I of one setting
 
 
 def true_figures(iso, kelvin):
-    """K, eta, sigma_d and I, in NumPy."""
+    """Return K, eta, sigma_d and I by NumPy."""
     gain = PER_ISO * iso
     dark = RATE * np.exp(-ENERGY * 1.602176634e-19 / 1.380649e-23 * (1 / kelvin - 1 / REFERENCE))
     return gain, EFFICIENCY, np.sqrt(BEFORE**2 + (BEHIND / gain) ** 2), dark
 
 
 def estimates_of_settings(seed, *, gain=1.0, efficiency=1.0, read_noise=1.0, dark=0.0):
-    """What settings tell, drawn about the truth times factors (settings,), plus dark current."""
+    """Return estimates of each setting, drawn about the true values times factors (settings,), plus
+    dark current."""
     rng = np.random.default_rng(seed)
     found = []
     for s in range(len(SETTINGS)):
@@ -101,7 +103,8 @@ def estimates_of_settings(seed, *, gain=1.0, efficiency=1.0, read_noise=1.0, dar
 
 
 def missed_by(p, told, efficiencies):
-    """Standardised residuals in NumPy; `efficiencies` is 1 for one of all, 4 for one a gain."""
+    """Return standardised residuals by NumPy. `efficiencies` is 1 for a common efficiency, and 4
+    for one for each gain."""
     gain, log_efficiency = (
         np.repeat(p[:4], 3),
         np.repeat(p[4 : 4 + efficiencies], 12 // efficiencies),
@@ -127,7 +130,7 @@ def fit_by_scipy(told, efficiencies=1):
 
 
 @pytest.mark.slow
-def test_the_fit_is_that_of_scipy():
+def test_the_fit_equals_scipys():
     told = estimates_of_settings(1)
     ours, theirs = fit_settings(SETTINGS, told), fit_by_scipy(told)
     assert not ours.freed
@@ -142,8 +145,9 @@ def test_the_fit_is_that_of_scipy():
 
 
 @pytest.mark.slow
-def test_a_claim_is_judged_by_what_giving_it_up_saves():
-    """The score test gives the fall of chi-square between two fits by scipy, to first order."""
+def test_an_assumption_is_judged_by_the_chi_square_without_it():
+    """To first order, the score test gives the difference in chi-square between two fits by
+    SciPy."""
     told = estimates_of_settings(2)
     saved = 2 * (fit_by_scipy(told).cost - fit_by_scipy(told, 4).cost)
     claims = {(c.quantity, c.axis): c for c in fit_settings(SETTINGS, told).claims}
@@ -154,7 +158,7 @@ def test_a_claim_is_judged_by_what_giving_it_up_saves():
 
 
 def settings_like(**given):
-    """Which of the settings have such a gain or temperature."""
+    """Return which of the settings have this gain or temperature."""
     return np.all([{"gain": ISO, "temperature": WARMTH}[k] == v for k, v in given.items()], axis=0)
 
 
@@ -172,7 +176,7 @@ def settings_like(**given):
         ({"gain": 1 + 0.05 * settings_like(temperature=308.0)}, ("system_gain", "temperature")),
     ],
 )
-def test_what_is_not_shared_is_found_and_given_up(planted, found):
+def test_parameters_that_are_not_shared_are_found_and_separated(planted, found):
     fit = fit_settings(SETTINGS, estimates_of_settings(3, **planted))
     assert fit.freed == {found}
     assert fit.claims[0].p_value < 1e-3
@@ -188,7 +192,7 @@ def test_what_is_not_shared_is_found_and_given_up(planted, found):
 
 
 def as_calibration(fit, **pooled):
-    """A calibration about a fit, its frames those of a small camera without noise."""
+    """Return a calibration for a fit, with frames of a small camera without noise."""
     frames = []
     for setting in fit.settings:
         gain, eta, sigma, current = true_figures(setting.gain, setting.temperature)
@@ -224,7 +228,7 @@ def camera():
 
 
 @pytest.mark.slow
-def test_the_report_says_and_draws_it(camera):
+def test_the_report_states_and_draws_it(camera):
     made = section(camera)
     told = " ".join(made.findings)
     assert "All settings agree with one camera" in told
@@ -254,7 +258,7 @@ def test_the_report_says_and_draws_it(camera):
 
 
 @pytest.mark.slow
-def test_what_fails_is_said(camera):
+def test_disagreeing_settings_are_reported(camera):
     told = estimates_of_settings(3, efficiency=1 + 0.06 * settings_like(gain=800.0))
     made = section(as_calibration(fit_settings(SETTINGS, told)))
     assert "The quantum efficiency is not the same at every gain (ISO 800: +" in made.findings[0]
@@ -282,8 +286,8 @@ def test_what_fails_is_said(camera):
     np.testing.assert_allclose(off.value, 0.2, atol=4 * off.error)
 
 
-def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(camera):
-    """As of a camera of one setting."""
+def test_no_sensor_is_written_if_a_setting_has_compression(camera):
+    """The same holds for a camera of one setting."""
     assert section(camera).records
     rng = np.random.default_rng(0)
     flats = [rng.poisson(n, (2, 64, 64)) for n in (100, 200, 300, 400)]
@@ -305,8 +309,9 @@ def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(c
     assert "No sensor file is written" in told
 
 
-def test_gains_that_were_exchanged_are_off_by_their_ratio():
-    """Two of four: the other two agree, and each is compared with those alone."""
+def test_exchanged_gains_are_wrong_by_their_ratio():
+    """Two of four gains are exchanged. The other two agree, and each of the two is compared with
+    those only."""
     exchanged = 1 + settings_like(gain=200.0) - settings_like(gain=400.0) / 2
     calibration = as_calibration(fit_settings(SETTINGS, estimates_of_settings(8, gain=exchanged)))
     _, _, own = proportional_gain(calibration.fit)
@@ -317,8 +322,9 @@ def test_gains_that_were_exchanged_are_off_by_their_ratio():
 
 
 @pytest.mark.slow
-def test_a_law_of_read_noise_that_fails_accuses_no_other():
-    """p is 0 to all digits for several claims; the one that saves the most is given up."""
+def test_a_failing_law_of_read_noise_blames_no_other():
+    """p underflows to 0 for several assumptions. The one whose removal reduces chi-square most is
+    given up."""
     read = np.where(ISO < 400, 6.0, 0.5)
     found = fit_settings(SETTINGS, estimates_of_settings(9, read_noise=read))
     assert found.freed == {("read_noise", "gain")}
@@ -335,7 +341,7 @@ def test_a_sensor_at_any_gain_and_temperature(camera, tmp_path):
     np.testing.assert_allclose(best.quantum_efficiency, np.exp(at.log_efficiency[0]))
     assert draws.gain.shape == (1000,)
     np.testing.assert_allclose(np.std(np.log(draws.gain)), 0.003, atol=0.001)
-    assert (best.full_well, best.dsnu) == (None, None)  # no level fills a well
+    assert (best.full_well, best.dsnu) == (None, None)  # no level fills the well
     np.testing.assert_allclose(best.prnu, 0.008)
     between, _ = sensor_at(camera, gain=200 * 2**0.5, temperature=300)
     np.testing.assert_allclose(
@@ -373,7 +379,7 @@ def test_the_black_level_of_a_sensor_has_no_dark_current():
     assert not any("differ significantly" in one for one in section(camera).findings)
 
 
-def test_darks_alone_tell_what_lines_tell():
+def test_darks_alone_give_the_slopes_of_numpys_lines():
     rng = np.random.default_rng(7)
     truth = CameraTruth(gain=0.5, read_noise=6.0, dark_current=300.0)
     times = np.array([0.01, 0.2, 0.5, 1.0])
@@ -393,7 +399,7 @@ def test_darks_alone_tell_what_lines_tell():
 
 PHOTONS = [400.0, 1000.0, 1600.0, 2200.0, 2800.0]
 TIMES = [0.02, 0.2, 0.5, 1.0, 2.0]
-CAMERAS = {  # gain in dB and temperature, and which kinds of frames
+CAMERAS = {  # gain in dB and temperature, and types of frames
     (0.0, 293.0): ("flat", "dark"),
     (6.0, 293.0): ("flat", "dark"),
     (6.0, 303.0): ("dark",),
@@ -401,7 +407,7 @@ CAMERAS = {  # gain in dB and temperature, and which kinds of frames
 
 
 def write_rig(folder, change=lambda line: line):
-    """A rig of two gains, one of them at two temperatures."""
+    """Write a rig of two gains, one of them at two temperatures."""
     rng = np.random.default_rng(11)
     text = "[camera]\nbits = 12\n"
     for (decibel, kelvin), kinds in CAMERAS.items():
@@ -428,7 +434,8 @@ def write_rig(folder, change=lambda line: line):
 
 
 def two_gains(bend):
-    """Twelve levels at two gains, of a camera whose response bends by that share of full scale."""
+    """Return twelve levels at two gains of a camera whose response bends by this share of full
+    scale."""
     rng, found = np.random.default_rng(5), []
     for decibel in (0.0, 6.0):
         gain = 0.2 * 10 ** (decibel / 20)
@@ -543,7 +550,7 @@ def test_the_command_fits_all_settings(tmp_path):
 
 @pytest.mark.slow
 def test_a_setting_that_cannot_be_fitted_is_left_out_and_named(tmp_path):
-    """Its darks too; the others are fitted as if it had never been there."""
+    """Its darks are left out, too. The other settings are fitted as if it did not exist."""
     good = read_by_setting(write_rig(tmp_path))
     own = [calibrate_one(one, sampling=None, seed=0) for one in good]
     without = calibrate_settings(good, calibrations=own)
@@ -560,7 +567,7 @@ def test_a_setting_that_cannot_be_fitted_is_left_out_and_named(tmp_path):
 
 
 def simulated_sensor(gain, kelvin, exposure):
-    """The camera of this file as a sensor; `gain` in DN/e-."""
+    """Return the camera of this file as a sensor, with `gain` in DN/e-."""
     law = jv.ArrheniusDarkCurrent(
         RATE, kelvin, reference_temperature=REFERENCE, activation_energy=ENERGY
     )
@@ -584,7 +591,7 @@ SHARES = np.concatenate([np.linspace(0.05, 0.8, LEVELS), np.zeros(4)])  # of ful
 
 @jax.jit
 def moments_of_levels(iso, kelvin):
-    """Light, mean and variance of each level of one setting, by the library's sensor."""
+    """Return light, mean and variance of each level of one setting, by the library's sensor."""
     gain = PER_ISO * iso
     photons = jnp.asarray(SHARES) * 4000 / (gain * EFFICIENCY)
 
@@ -598,7 +605,7 @@ def moments_of_levels(iso, kelvin):
 
 
 def levels_of(light, mean, variance):
-    """Inputs and data of a setting's fit."""
+    """Return inputs and data of a setting's fit."""
     levels = len(SHARES)
     inputs = NoiseData(
         light=light,
@@ -614,7 +621,7 @@ def levels_of(light, mean, variance):
 
 @eqx.filter_jit
 def fits_of_settings(template, start, light, mean, variance):
-    """Mode and covariance of each setting's own fit."""
+    """Return mode and covariance of each setting's own fit."""
 
     def one(given):
         inputs, rows = levels_of(*given[1:])
@@ -627,7 +634,7 @@ def fits_of_settings(template, start, light, mean, variance):
 
 
 def simulated(cameras):
-    """What each setting tells of each of many cameras, (cameras, settings) lists."""
+    """Return the estimates of each setting of many cameras, as lists (cameras, settings)."""
     rng, rows = np.random.default_rng(0), []
     for iso, kelvin in zip(ISO, WARMTH, strict=True):
         light, mean, variance = (np.asarray(x) for x in moments_of_levels(iso, kelvin))
@@ -655,7 +662,7 @@ def simulated(cameras):
 
 
 @pytest.mark.slow
-def test_intervals_of_many_joint_fits_hold_the_truth():
+def test_intervals_of_many_joint_fits_cover_the_true_values():
     told = simulated(300)
     fits = [fit_settings(SETTINGS, one) for one in told]
     kept = [fit for fit in fits if not fit.freed]
@@ -672,11 +679,11 @@ def test_intervals_of_many_joint_fits_hold_the_truth():
             claims[claim.quantity, claim.axis].append(claim.p_value)
     assert len(claims) == 7
     of_seven = np.array([0.001 / 7, 1 - 0.001 / 7])
-    for values in claims.values():  # uniform p-values, seven times
+    for values in claims.values():  # seven uniform p-values each
         low, high = binom.ppf(of_seven, len(values), 0.2)
         assert low <= np.sum(np.array(values) < 0.2) <= high
     stated = np.array([0, np.log(1.08), 0, 0])
-    for one in told[:15]:  # photons of the highest gain stated 8 % too low
+    for one in told[:15]:  # the highest gain's photons are stated 8 % too low
         wrong = [
             SettingEstimates(own.names, own.values + (iso == 800) * stated, own.covariance)
             for own, iso in zip(one, ISO, strict=True)
@@ -687,7 +694,7 @@ def test_intervals_of_many_joint_fits_hold_the_truth():
 @pytest.mark.parametrize(
     ("values", "serves"), [((100.0, 101.0, 103.0), True), ((100.0, 160.0), False)]
 )
-def test_settings_that_differ_by_little_share_a_value_that_is_less_well_known(values, serves):
+def test_settings_that_differ_slightly_share_a_value_with_a_larger_error(values, serves):
     spread = float(np.std(values))
     pooled = Pooled(tuple(range(len(values))), float(np.mean(values)), 0.1, 1e3, spread=spread)
     assert not pooled.holds

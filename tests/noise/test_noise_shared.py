@@ -1,4 +1,5 @@
-"""Noise of rows, columns and frames: found where it is, not where it is not, and named."""
+"""Tests noise shared by rows, columns and frames: found if present, not found if absent, and
+named."""
 
 from types import SimpleNamespace
 
@@ -30,7 +31,7 @@ H, W, FRAMES, LEVELS = 24, 40, 3, 4
 
 
 def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
-    """Four levels of dark frames, of pixel noise 2 DN."""
+    """Return four levels of dark frames with a pixel noise of 2 DN."""
     banding = fixed * rng.standard_normal(W)
     if fixed_rows:
         banding = banding + fixed_rows * rng.standard_normal((H, 1))
@@ -73,7 +74,7 @@ def test_independent_pixels_share_nothing():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("name", "size"), [("rows", 1.0), ("columns", 0.7), ("fixed", 1.0)])
-def test_what_is_planted_is_found_to_its_size(name, size):
+def test_simulated_shared_noise_is_estimated(name, size):
     rng = np.random.default_rng(1)
     found = [judged(rng, **{name: size})[name] for _ in range(100)]
     variance = np.array([one.variance for one in found])
@@ -84,8 +85,8 @@ def test_what_is_planted_is_found_to_its_size(name, size):
 
 
 @pytest.mark.slow
-def test_noise_of_rows_is_no_banding():
-    """The average over a few frames keeps some of the noise of rows, which is no fixed pattern."""
+def test_row_noise_is_not_banding():
+    """The average over a few frames keeps some row noise, which is no fixed pattern."""
     rng = np.random.default_rng(5)
     noisy = [judged(rng, rows=4.0) for _ in range(300)]
     z = np.array([one["fixed rows"].variance / one["fixed rows"].error for one in noisy])
@@ -95,7 +96,7 @@ def test_noise_of_rows_is_no_banding():
     assert np.mean([one.is_significant for one in banded]) > 0.95
     variance = np.array([one.variance for one in banded])
     z = np.log(variance / 36) * variance / np.array([one.error for one in banded])
-    assert 0.8 < z.std() < 1.25  # on a logarithmic scale: the error grows with the variance
+    assert 0.8 < z.std() < 1.25  # on a log scale, because the error grows with the variance
 
 
 def test_drifting_frames_are_found():
@@ -106,7 +107,7 @@ def test_drifting_frames_are_found():
 
 
 def test_row_noise_widens_the_pattern():
-    """DSNU's variance, less what temporal noise leaves, is known as well as rows let it be."""
+    """DSNU's variance, with temporal noise subtracted, has the error that the rows allow."""
     rng, z = np.random.default_rng(3), []
     for _ in range(200):
         pattern, by_noise = pattern_variance(dark_levels(rng, rows=2.0))
@@ -116,7 +117,8 @@ def test_row_noise_widens_the_pattern():
 
 
 def camera_frames(rng, photons, size, *, rows=0.0, wander=0.0, gain=0.25):
-    """Four frames of 64 DN black, 6 e- of pixel noise, rows of noise, and a drift of frames."""
+    """Return four frames with 64 DN black, 6 e- of pixel noise, row noise, and a drift between
+    frames."""
     shape = (4, *size)
     electrons = rng.poisson(0.5 * photons, shape) + 6 * rng.standard_normal(shape)
     electrons += rows * rng.standard_normal((4, size[0], 1))
@@ -124,8 +126,8 @@ def camera_frames(rng, photons, size, *, rows=0.0, wander=0.0, gain=0.25):
     return list(np.round(64 + gain * electrons))
 
 
-def test_errors_of_a_level_know_of_shared_noise():
-    """Means and variances of levels scatter as their errors say, under rows and drift."""
+def test_errors_of_a_level_include_shared_noise():
+    """Means and variances of levels scatter as their errors state, with row noise and drift."""
     rng, kept = np.random.default_rng(6), []
     stacks = rng.standard_normal((400, FRAMES, H, W)) + 2 * rng.standard_normal((400, FRAMES, H, 1))
     stacks += rng.standard_normal((400, FRAMES, 1, 1))
@@ -135,14 +137,15 @@ def test_errors_of_a_level_know_of_shared_noise():
     variance, mean, *lines = np.array(kept).T
     levels = levels_sharing(shared_variance(np.array(lines), (H, W)), variance, FRAMES)
     errors = sampling_errors(levels, np.zeros(400), jnp.asarray(1.0), shared=shared_noise(levels))
-    # The scatter of 400 has a relative error of 3.5 %: four of them.
+    # The scatter of 400 has a relative error of 3.5 %; the limit is four of them.
     for found, claimed in ((mean, errors.mean), (variance, errors.variance)):
         assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14
 
 
 @pytest.mark.slow
-def test_black_is_within_its_errors_where_it_drifts():
-    """6 e- of drift from frame to frame, darks of one exposure: the camera stays linear."""
+def test_a_drifting_black_level_is_within_its_errors():
+    """The black level drifts by 6 e- between frames of one exposure, and the camera stays
+    linear."""
     rng, photons, size = np.random.default_rng(7), np.linspace(200, 8000, 6), (40, 60)
     z = []
     for _ in range(24):
@@ -161,14 +164,15 @@ def test_black_is_within_its_errors_where_it_drifts():
         off = (black - 64) / fit.errors["black_level"]
         z.append((off, np.log(rate / 0.125) / fit.errors["responsivity"]))
         assert fit.p_value > 1e-3
-    # The scatter of 24 has a relative error of 15 %: three of them.
+    # The scatter of 24 has a relative error of 15 %; the limit is three of them.
     assert np.all(np.abs(np.std(z, axis=0) - 1) < 0.45)
     assert np.all(np.mean(np.abs(np.array(z)) < 1.96, axis=0) > 0.8)
 
 
 @pytest.mark.slow
-def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
-    """1 % of random column gains: PRNU within its errors, and columns named, rows not."""
+def test_unequal_column_gains_have_the_error_of_few_columns():
+    """With 1 % of random column gains, PRNU is within its errors, and columns are named, but not
+    rows."""
     rng, photons, size = np.random.default_rng(8), np.linspace(2000, 20_000, 4), (40, 60)
     z, found = [], []
     for _ in range(40):
@@ -191,7 +195,7 @@ def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
     assert np.mean([columns.variance for _, columns in found]) == pytest.approx(1e-4, rel=0.1)
 
 
-def test_a_flat_of_no_light_hides_no_unequal_gains():
+def test_a_flat_without_light_does_not_hide_unequal_gains():
     rng, photons, size = np.random.default_rng(11), np.linspace(2000, 20_000, 4), (40, 60)
     gains = 1 + 0.02 * rng.standard_normal((1, size[1]))
     flats = [camera_frames(rng, p * gains, size) for p in photons]
@@ -212,7 +216,7 @@ def test_a_flat_of_no_light_hides_no_unequal_gains():
 
 
 @pytest.mark.slow
-def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
+def test_row_noise_of_flats_only_is_distinguished_from_that_of_darks():
     rng, photons, size = np.random.default_rng(9), np.linspace(200, 20_000, 5), (40, 60)
 
     def found(of_flats, of_darks):
@@ -234,11 +238,12 @@ def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
 
 
 @pytest.mark.parametrize(("count", "turned"), [(2, False), (4, True)])
-def test_bands_that_move_over_uneven_light_leave_the_gain(count, turned):
-    """Bands of 8 %, at another phase in every frame, over light that falls by 30 % to the border.
+def test_moving_bands_over_uneven_light_do_not_change_the_gain(count, turned):
+    """Bands of 8 %, with another phase in every frame, are on light that falls by 30 % to the
+    border.
 
-    Where the light of a row is uneven, e P remains of a band e beside the mean of the row: 4 % of
-    the shot variance here."""
+    Where the light within a row is uneven, the part e P of a band e remains beyond the row's mean,
+    here 4 % of the shot variance."""
     rng, side, photons = np.random.default_rng(4), 96, np.linspace(600, 8_000, 8)
     y, x = np.mgrid[:side, :side] / side - 0.5
     light = 1 - 0.6 * (x**2 + y**2)
@@ -265,8 +270,9 @@ def test_bands_that_move_over_uneven_light_leave_the_gain(count, turned):
 
 
 @pytest.mark.slow
-def test_light_that_flickers_is_taken_out_row_by_row():
-    """Lines of flats that err by 3 %, anew in every frame, nine tenths of the variance."""
+def test_flicker_is_subtracted_row_by_row():
+    """Rows of flats have errors of 3 %, new in every frame, which are nine tenths of the
+    variance."""
     rng, photons = np.random.default_rng(2), np.linspace(0.02, 1, 8) * 20_000
 
     def frames(mean):
@@ -296,14 +302,14 @@ def test_light_that_flickers_is_taken_out_row_by_row():
 
 
 @pytest.mark.slow
-def test_few_frames_of_few_rows_raise_no_alarm():
-    """A variance of one or three degrees exceeds its mean by four of its errors in one of a hundred
-    cameras that share nothing, and in as many whose flats and darks share the same."""
+def test_few_frames_of_few_rows_cause_no_false_alarm():
+    """A variance with one or three degrees of freedom exceeds its mean by four errors in one of a
+    hundred cameras that share nothing, and as often if flats and darks share the same."""
     rng, shape, alarms = np.random.default_rng(10), (4, 60), np.zeros(3, int)
 
     def told(sigma, count):
         stacks = sigma * rng.standard_normal((count, 2, *shape))
-        stacks += rng.standard_normal((count, 2, shape[0], 1))  # of rows, flats and darks alike
+        stacks += rng.standard_normal((count, 2, shape[0], 1))  # the same in flats and darks
         _, variance, lines = zip(*map(level_of, stacks), strict=True)
         return levels_sharing(shared_variance(np.array(lines).T, shape), np.array(variance), 2)
 
@@ -322,9 +328,9 @@ def test_few_frames_of_few_rows_raise_no_alarm():
 
 
 @pytest.mark.slow
-def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
-    """.3 % of flats from 20 to 20,000 photons: hidden in faint ones, whose variance is best known,
-    7.5 DN at the brightest."""
+def test_flicker_that_grows_with_light_is_reported_at_the_brightest():
+    """The flicker is .3 % in flats from 20 to 20,000 photons. It is hidden in faint ones, whose
+    variance is known best, and is 7.5 DN at the brightest."""
     rng, photons, size = np.random.default_rng(12), np.geomspace(20, 20_000, 8), (40, 60)
     for _ in range(20):
         flats = [
@@ -347,8 +353,8 @@ def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
 
 
 @pytest.mark.filterwarnings("error")
-def test_levels_whose_frames_are_alike_tell_nothing():
-    """Of a read noise that rounding hides, some darks have no two frames that differ."""
+def test_levels_of_identical_frames_are_uninformative():
+    """If rounding hides the read noise, some darks have no two different frames."""
     rng = np.random.default_rng(7)
     stacks = [100 + rng.standard_normal((FRAMES, H, W)) for _ in range(3)]
     still = np.full((FRAMES, H, W), 100.0)
@@ -371,9 +377,9 @@ def test_levels_whose_frames_are_alike_tell_nothing():
 
 @pytest.mark.parametrize(("size", "dead"), [((12, 30), 0.0), ((8, 8), 0.0), ((12, 30), 0.2)])
 @pytest.mark.slow
-def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
-    """Of what rows, columns, pixels and frames add, each estimate scatters about its truth, also
-    without a column and a fifth of the pixels."""
+def test_components_of_the_variance_add_up_on_average(size, dead):
+    """With contributions of rows, columns, pixels and frames, each estimate scatters about its true
+    value, also without one column and a fifth of the pixels."""
     rng, (h, w), frames = np.random.default_rng(9), size, 6
     truth = {"pixels": 4.0, "rows": 9.0, "columns": 1.0, "frames": 2.25}
     stays = {"rows": 4.0, "columns": 0.25}

@@ -1,4 +1,5 @@
-"""Reading photon transfer: frames against NumPy on the whole stack, tables, and what is refused."""
+"""Tests reading photon transfer data: frames against NumPy on the whole stack, tables, and
+refusals."""
 
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ EXPOSURES = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 
 
 def write_rig(folder, *, camera="bits = 12", frames=3, light="photons = {p}", change=None):
-    """A small rig; returns its stacks by name."""
+    """Write a small rig, and return its stacks by name."""
     rng = np.random.default_rng(5)
     text, stacks = f"[camera]\n{camera}\n", {}
     for i, exposure in enumerate(EXPOSURES):
@@ -37,7 +38,7 @@ def write_rig(folder, *, camera="bits = 12", frames=3, light="photons = {p}", ch
 
 
 def analysis_of_variance(stack):
-    """Temporal variance of a pixel without that of whole frames, line by line."""
+    """Return the temporal variance of a pixel without that of whole frames, line by line."""
     count, h, w = stack.shape
     away = stack - stack.mean(axis=0)
     away = away - away.mean(axis=(1, 2), keepdims=True)
@@ -76,7 +77,7 @@ def test_a_flicker_of_whole_frames_does_not_raise_the_variance(tmp_path):
     np.testing.assert_allclose(moving.bright.variance, still.bright.variance, rtol=1e-9)
 
 
-def test_irradiance_becomes_photons(tmp_path):
+def test_irradiance_is_converted_to_photons(tmp_path):
     camera = "bits = 12\nwavelength = 525e-9\npixel_pitch = 5e-6"
     write_rig(tmp_path, camera=camera, light="irradiance = 1e-3")
     read = read_photon_transfer(tmp_path)
@@ -85,7 +86,7 @@ def test_irradiance_becomes_photons(tmp_path):
     np.testing.assert_allclose(read.bright.light, expected, rtol=1e-4)
 
 
-def test_without_photons_the_light_counts_in_seconds(tmp_path):
+def test_without_photons_the_light_is_in_seconds(tmp_path):
     write_rig(tmp_path, light="")
     read = read_photon_transfer(tmp_path)
     assert not read.photons_known
@@ -124,7 +125,7 @@ def test_unusable_frames_are_refused_in_words(tmp_path, options, sentence):
         read_photon_transfer(tmp_path)
 
 
-def test_too_small_or_unlike_frames_are_refused(tmp_path):
+def test_too_small_or_different_frames_are_refused(tmp_path):
     write_rig(tmp_path)
     write_image(tmp_path / "flat_2_1.tif", np.full((24, 30), 500, np.uint16))
     (told,) = read_photon_transfer(tmp_path).bright.left_out
@@ -135,7 +136,7 @@ def test_too_small_or_unlike_frames_are_refused(tmp_path):
         read_photon_transfer(tmp_path)
 
 
-def test_a_dark_that_is_left_out_says_nothing_of_the_converter():
+def test_a_dark_that_is_left_out_does_not_affect_the_converter():
     darks = [list(level) for level in np.random.default_rng(0).normal(64, 5, (3, 4, *SIZE)).round()]
     darks[1][2] = darks[1][2][:, :30] / 2 + 32  # an average of two, of another size
     found = darks_from_frames(darks, [0.1, 0.2, 0.3], camera=Camera(bits=12))
@@ -158,7 +159,7 @@ def write_table(path, *, head=HEAD, rows=8, row=ROW, tail=()):
     return path
 
 
-def test_sums_and_moments_say_the_same(tmp_path):
+def test_sums_and_moments_give_the_same(tmp_path):
     pixels, frames = 10000, 4
     rng = np.random.default_rng(2)
     head = "exposure_s,photons_per_pixel,bright_sum,bright_pvar,dark_sum,dark_pvar,pixels,frames"
@@ -226,7 +227,7 @@ def test_saturation_is_the_peak_of_the_variance_only_if_it_falls_behind(tmp_path
     tail = ("9,9000,1370,411,20,6,10000", "10,10000,1380,50,20,6,10000")
     falling = read_photon_transfer(write_table(tmp_path / "falling.csv", tail=tail))
     assert saturation_index(falling.bright) == 8
-    # 95 % of the saturation signal, 1350 DN, lies between the signals 1200 and 1350.
+    # 95 % of the saturation signal, 1350 DN, is between the signals 1200 and 1350.
     np.testing.assert_array_equal(linear_levels(falling), np.arange(8))
 
 

@@ -1,4 +1,5 @@
-"""EMVA 1288, release 4.0: planted patterns, closed forms, and the reference implementation."""
+"""Tests EMVA 1288, release 4.0, against simulated patterns, closed forms and the reference
+implementation."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -28,7 +29,7 @@ SHAPE = (30, 40)
 
 
 def frames(level, count):
-    """Frames of whole numbers from a hash of place, frame and level, the same on any machine."""
+    """Return frames of integers from a hash of position, frame and level, equal on all machines."""
     f, m, n = np.meshgrid(np.arange(count), *map(np.arange, SHAPE), indexing="ij")
 
     def u(*terms):
@@ -45,8 +46,8 @@ def frames(level, count):
     return np.clip(np.round(offset + signal + noise), 0, 1023)
 
 
-# Of emva1288 1.0.2 with NumPy 1.26.4, from these frames: 24 levels and a dark of two frames each,
-# nonuniformities at level 11.
+# Results of emva1288 1.0.2 with NumPy 1.26.4 for these frames: 24 levels and a dark of two frames
+# each, with nonuniformities at level 11.
 REFERENCE = {
     "K": 0.38748799030887904,
     "R": 0.15005989010988996,
@@ -80,9 +81,9 @@ def stacks():
     )
 
 
-def test_figures_are_those_of_the_reference_where_it_follows_the_standard(stacks):
+def test_values_equal_the_reference_where_it_follows_the_standard(stacks):
     measurement = stacks.measurement
-    within, clipped = ranges(measurement, None)  # its saturation is that of release 3.1
+    within, clipped = ranges(measurement, None)  # the reference uses the saturation of release 3.1
     assert not clipped
     found = figures(statistics(measurement, within.saturation), measurement, within)
     same = {
@@ -97,19 +98,19 @@ def test_figures_are_those_of_the_reference_where_it_follows_the_standard(stacks
     }
     for name, own in same.items():
         np.testing.assert_allclose(found[own], REFERENCE[name], rtol=1e-6, err_msg=name)
-    # Its threshold lacks the 1/4 of (26).
+    # The reference's threshold lacks the 1/4 of (26).
     sigma = REFERENCE["sigma_y_dark"] / REFERENCE["K"]
     exact = (np.sqrt(sigma**2 + 0.25) + 0.5) / (sigma + 0.5) * REFERENCE["u_p_min"]
     np.testing.assert_allclose(found["threshold_photons"], exact, rtol=1e-6)
     np.testing.assert_allclose(
         found["dynamic_range"], REFERENCE["DR"] * REFERENCE["u_p_min"] / exact, rtol=1e-6
     )
-    # It has the extremes of the deviations, not the mean of their sizes (63).
+    # The reference has the extremes of the deviations, not the mean of their absolute values (63).
     assert 0 < found["linearity_error"] < max(np.abs(REFERENCE["LE"]))
 
 
-def test_spatial_variances_are_those_of_the_reference_but_for_its_divisor(stacks):
-    # It divides the variance of all pixels by N M - 1, which (35) does by N M.
+def test_spatial_variances_equal_the_reference_except_for_its_divisor(stacks):
+    # It divides the variance of all pixels by N M - 1, where (35) divides by N M.
     lit, unlit = (list(frames(level, 2)) for level in (11, 0))
     for name, own, stack in (("bright", lit, 0), ("dark", unlit, 1)):
         image = np.mean(own, axis=0)
@@ -130,14 +131,14 @@ def test_spatial_variances_are_those_of_the_reference_but_for_its_divisor(stacks
     np.testing.assert_allclose(spectrogram(image, 1).power[:4], REFERENCE["power"], rtol=1e-8)
 
 
-def test_planted_rows_columns_and_pixels_come_back():
+def test_simulated_rows_columns_and_pixels_are_recovered():
     rng = np.random.default_rng(0)
     row, col, pixel = (
         rng.standard_normal(s) * size for s, size in (((20, 1), 2.0), ((1, 30), 3.0), ((20, 30), 5))
     )
     row, col = row - row.mean(), col - col.mean()
     pixel = pixel - pixel.mean(axis=0) - pixel.mean(axis=1, keepdims=True) + pixel.mean()
-    own = np.mean(pixel**2) / (1 - 1 / 20 - 1 / 30)  # (42) takes pixels for independent
+    own = np.mean(pixel**2) / (1 - 1 / 20 - 1 / 30)  # (42) assumes independent pixels
     found = split(100 + row + col + pixel, 0.0)
     np.testing.assert_allclose(found.total, np.mean((row + col + pixel) ** 2))
     expected = (np.mean(row**2) - own / 30, np.mean(col**2) - own / 20, own)
@@ -145,7 +146,7 @@ def test_planted_rows_columns_and_pixels_come_back():
     np.testing.assert_allclose(found.total, sum(found[1:]), rtol=1e-10)
 
 
-def test_the_high_pass_is_three_windows_and_loses_what_it_says():
+def test_the_high_pass_has_three_windows_and_the_stated_loss():
     rng = np.random.default_rng(1)
     image = rng.standard_normal((40, 50))
     smooth = image
@@ -153,7 +154,7 @@ def test_the_high_pass_is_three_windows_and_loses_what_it_says():
         smooth = convolve2d(smooth, window / window.sum(), mode="valid")
     np.testing.assert_allclose(high_pass(image), image[9:-9, 9:-9] - smooth, atol=1e-12)
     y, x = np.mgrid[:40, :50]
-    np.testing.assert_allclose(high_pass(3 + 0.1 * x - 0.2 * y), 0, atol=1e-12)  # a slope is light
+    np.testing.assert_allclose(high_pass(3 + 0.1 * x - 0.2 * y), 0, atol=1e-12)  # as of light
     pixels = high_pass(rng.standard_normal((600, 600)))
     rows = high_pass(rng.standard_normal((6000, 1)) * np.ones((6000, 19)))
     loss = loss_of_filter()
@@ -162,18 +163,19 @@ def test_the_high_pass_is_three_windows_and_loses_what_it_says():
     assert loss.line_degrees < 1
 
 
-def test_saturation_is_where_15_of_10000_numbers_are_at_the_end(stacks):
+def test_saturation_is_where_15_of_10000_numbers_are_at_the_limit(stacks):
     bright = replace(stacks.measurement.bright, pixels=jnp.asarray(1e6))
     measurement = replace(stacks.measurement, bright=bright)
     light = np.asarray(measurement.bright.light)
-    # Of numbers whose normal deviate is linear in the light: .15 % at 5,900 photons.
+    # For numbers whose normal deviate is linear in the light: .15 % at 5,900 photons.
     shares = norm.cdf(norm.ppf(0.0015) + (light - 5900) / 500)
     spread = np.full(24, 50.0)
     within, clipped = ranges(measurement, Numbers(shares, spread))
     assert clipped
     np.testing.assert_allclose(np.asarray(within.saturation), 5900, rtol=1e-6)
     assert not bool(within.linearity[light > 6000].any())
-    # All or none at the end: the mean goes on at .15 DN a photon to 2.97 deviations below it.
+    # All or none are at the limit: the mean continues at .15 DN per photon to 2.97 deviations below
+    # it.
     mean = np.asarray(measurement.bright.mean)
     shares = np.where(light > 5400, 1.0, 0.0)
     within, clipped = ranges(measurement, Numbers(shares, spread))
@@ -184,7 +186,7 @@ def test_saturation_is_where_15_of_10000_numbers_are_at_the_end(stacks):
     )
     within, clipped = ranges(measurement, Numbers(np.zeros(24), spread))
     assert not clipped
-    assert within.saturation == 6000  # that of the largest variance
+    assert within.saturation == 6000  # where the variance is largest
 
 
 def test_histograms_count_every_pixel():
@@ -204,7 +206,7 @@ def test_histograms_count_every_pixel():
     assert outliers(image)[2].interval[0] > outliers(image)[2].expected
 
 
-def test_a_spectrogram_has_the_variance_and_the_wave():
+def test_a_spectrogram_gives_the_variance_and_the_wave():
     rng = np.random.default_rng(3)
     image = rng.standard_normal((400, 64))
     found = spectrogram(image, 1)
@@ -218,7 +220,7 @@ def test_a_spectrogram_has_the_variance_and_the_wave():
 
 
 @pytest.mark.slow
-def test_a_bent_response_has_the_input_signal_to_noise_of_the_straight_one():
+def test_a_nonlinear_response_has_the_input_snr_of_the_linear_one():
     light = np.linspace(50, 6000, 60)
     electrons = 0.5 * light
     sigma = np.sqrt(electrons + 36)
@@ -253,13 +255,13 @@ def levels_of(light, mean, variance):
     )
 
 
-def test_slopes_are_exact_for_parabolas():
+def test_slopes_of_parabolas_are_exact():
     light = np.array([10.0, 11.0, 30.0, 31.0, 80.0, 200.0, 210.0])
     np.testing.assert_allclose(slopes(light) @ (3 * light - 0.01 * light**2), 3 - 0.02 * light)
 
 
 @pytest.mark.slow
-def test_the_sections_tell_what_the_frames_show(stacks):
+def test_the_sections_name_the_features_of_the_frames(stacks):
     linear, general = sections(release_4_sheet(stacks))
     assert [one.kind for one in (linear, general)] == [
         "noise_release_4_linear",
@@ -276,14 +278,14 @@ def test_the_sections_tell_what_the_frames_show(stacks):
     assert rows["Spatial variances of all levels"] == 25
     assert 40 < (general.estimate("input_snr_max").value or 0) < 50
     assert "DSNU row" in repr(release_4_sheet(stacks))
-    # A table of sums has no pixels, and says so.
+    # A table of sums has no pixels, and the section says so.
     linear, _ = sections(release_4_sheet(replace(stacks, numbers=None, averages=None, bright=())))
     assert "pixels" in linear.estimate("dsnu_row").reason
     assert any("table of sums" in told for told in linear.findings)
 
 
 @pytest.mark.slow
-def test_the_command_adds_a_sheet_of_each_site(tmp_path):
+def test_the_command_adds_a_sheet_for_each_site(tmp_path):
     text = '[camera]\nbits = 10\npattern = "RGGB"\n'
     for level in range(13):
         names = [f"{level}_{i}.tif" for i in range(2)]
@@ -317,7 +319,7 @@ def test_the_command_adds_a_sheet_of_each_site(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_intervals_cover_the_truth(name):
+def test_intervals_cover_the_true_value(name):
     count = 60
     found = simulated(
         lambda seed: places(CASES[name], seed), count, parameters=len(NAMES), kept=None
@@ -326,7 +328,7 @@ def test_intervals_cover_the_truth(name):
     assert covered.min() > 0.85, dict(zip(NAMES, covered, strict=True))
 
 
-def test_a_variance_below_0_is_no_limit_of_0():
+def test_a_variance_below_0_gives_no_limit_of_0():
     draws = np.linspace(-2.0, -1.0, 100)
     told = _deviation(LINEARITY, -1.5, draws, 1.0, 1.0, "")
     assert told.value is None

@@ -1,5 +1,5 @@
-"""Cameras of several amplifiers or a colour mosaic: found where nobody stated them, calibrated
-apart, and written as one camera that predicts and corrects."""
+"""Tests cameras of several amplifiers or a colour mosaic: amplifiers that the rig does not state
+are found, calibrated separately, and written as one camera that predicts and corrects."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -27,7 +27,8 @@ ONE = np.zeros(SHAPE, int)
 
 
 def frames(seed, tap=ONE, *, light=1.0, **numbers):
-    """(flats, darks, exposures, photons) by NumPy; numbers of each tap, or one of all."""
+    """Return (flats, darks, exposures, photons) by NumPy, with parameters of each tap or common
+    ones."""
     rng, die = np.random.default_rng(seed), np.random.default_rng(7)
     known = {"gain": 0.25, "black": 64.0, "efficiency": 0.5, "read": 5.0, "bent": 0.0} | numbers
     of = {name: np.broadcast_to(value, tap.max() + 1)[tap] for name, value in known.items()}
@@ -45,7 +46,7 @@ def frames(seed, tap=ONE, *, light=1.0, **numbers):
 
 
 def of_each(camera, of_all):
-    """The calibration of each site."""
+    """Return the calibration of each site."""
     return {
         site: noise.calibrate(noise.from_frames(*of_all, camera=camera, channel=site))
         for site in camera.sites
@@ -68,7 +69,7 @@ KINDS = {
 
 
 def deviations(sensor, draws, known, taps):
-    """Of the numbers of each tap from their truth, in standard errors of the draws."""
+    """Return the errors of each tap's parameters in standard errors of the draws."""
     found = []
     for field, name, plain in (
         ("gain", "gain", 0.25),
@@ -88,7 +89,8 @@ def deviations(sensor, draws, known, taps):
 
 @double_precision
 def check(kind, seed):
-    """(deviations, whether later frames are missed by tap), by the written file alone."""
+    """Return (errors, whether later frames contradict the prediction by tap), from the written file
+    alone."""
     given, tap, known = KINDS[kind]
     camera = Camera(bits=12, **given)
     found = sensor_of_sites(of_each(camera, frames(seed, tap, **known)), camera)
@@ -108,7 +110,7 @@ def check(kind, seed):
     "kind", ["columns", *(pytest.param(k, marks=pytest.mark.slow) for k in ("quadrants", "mosaic"))]
 )
 @pytest.mark.slow
-def test_one_sensor_has_the_numbers_of_each_tap_and_predicts_it(kind):
+def test_one_sensor_has_the_parameters_of_each_tap_and_predicts_it(kind):
     far, missed = check(kind, 1)
     assert np.abs(far).max() < 4
     assert not any(missed)
@@ -116,7 +118,7 @@ def test_one_sensor_has_the_numbers_of_each_tap_and_predicts_it(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_intervals_of_taps_cover_their_numbers(kind):
+def test_intervals_of_taps_cover_their_parameters(kind):
     found = [check(kind, seed) for seed in range(30)]
     far = np.array([one[0] for one in found])
     missed = sum(bool(own) for one in found for own in one[1])
@@ -127,9 +129,9 @@ def test_intervals_of_taps_cover_their_numbers(kind):
 
 @pytest.mark.slow
 @double_precision
-def test_what_taps_have_in_common_is_one_number_as_of_dense_conditioning():
-    """Numbers of two taps of which the offset of the light is common, against the Normal of both
-    under the condition that the two are equal."""
+def test_common_parameters_of_taps_equal_dense_conditioning():
+    """Two taps share the offset of the light. The reference is the Gaussian of both, conditioned on
+    equality."""
     camera = Camera(bits=12, taps=(1, 2))
     plain = drawn_numbers(next(iter(of_each(camera, frames(3, COLUMNS)).values())))
     rng = np.random.default_rng(0)
@@ -182,7 +184,7 @@ def mosaic_sensor(pattern, names):
     ],
 )
 def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
-    """A frame that begins one row or column later has the same pixels under other places."""
+    """A frame that starts one row or column later has the same pixels at other positions."""
     tile = ((0, 1), (2, 3))
     flats, darks, exposures, photons = frames(
         11, np.roll(BAYER, shift, (0, 1)), efficiency=EFFICIENCIES
@@ -194,7 +196,7 @@ def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
         np.testing.assert_allclose(judged.measured[0], judged.found.values[0], rtol=0.002)
 
 
-def test_taps_that_bear_other_names_than_the_frames_are_refused():
+def test_taps_with_other_names_than_the_frames_are_refused():
     measured = {
         stated: noise.from_frames(*frames(11, BAYER), camera=Camera(bits=12, **dict([stated])))
         for stated in (("pattern", "RGGB"), ("taps", (2, 2)))
@@ -216,7 +218,7 @@ def test_taps_that_bear_other_names_than_the_frames_are_refused():
     + [{"taps": part} for part in ("left and right", "top and bottom", "quadrants")]
     + [{"taps": part, "pattern": "GRBG"} for part in ("top and bottom", "quadrants")],
 )
-def test_taps_of_a_file_are_what_a_rig_stated(stated):
+def test_taps_of_a_file_equal_the_rigs(stated):
     camera = Camera(bits=16, **stated)
     tile = np.arange(len(camera.sites)).reshape(camera.layout).tolist()
     taps = jv.Taps(
@@ -247,13 +249,13 @@ def structure(seed, tap=ONE, **numbers):
     ],
     ids=["columns", "quadrants", "halves by black", "mosaic"],
 )
-def test_unequal_taps_that_nobody_stated_are_found(tap, numbers, taps):
-    # Of seed 1012 a period of 6 columns explains the columns that differ by gain, too.
+def test_unequal_taps_that_the_rig_does_not_state_are_found(tap, numbers, taps):
+    # For seed 1012, a period of 6 columns explains columns that differ in gain, too.
     assert taps_of(structure(1012, tap, **numbers)) == taps
 
 
 @pytest.mark.slow
-def test_cameras_of_equal_taps_raise_no_alarm():
+def test_cameras_of_equal_taps_cause_no_false_alarm():
     alarms = []
     for seed in range(60):
         rng = np.random.default_rng(500 + seed)
@@ -264,7 +266,7 @@ def test_cameras_of_equal_taps_raise_no_alarm():
 
 
 def written_rig(folder, of_all, first, iso=None):
-    """`of_all` of one gain, or of several, whose ISO speeds are then given."""
+    """Write `of_all`, of one gain or of several, whose ISO speeds are then given."""
     lines = [f"camera = {{{first}}}"]
     for speed, (flats, darks, _, photons) in zip(
         iso or [0], of_all if iso else [of_all], strict=True
@@ -285,7 +287,7 @@ def step(label):
 
 
 @pytest.mark.slow
-def test_the_command_calibrates_unstated_taps_apart_and_writes_one_camera(tmp_path):
+def test_the_command_calibrates_unstated_taps_separately_and_writes_one_camera(tmp_path):
     _, tap, known = KINDS["columns"]
     written_rig(tmp_path, frames(4, tap, **known), "bits = 12")
     sections, _ = folders.noise(tmp_path, step, lambda kind, progress: {"sampling": None})
@@ -310,7 +312,7 @@ def test_the_command_calibrates_unstated_taps_apart_and_writes_one_camera(tmp_pa
 
 
 @pytest.mark.slow
-def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
+def test_each_of_several_gains_has_one_camera_of_all_taps(tmp_path):
     _, tap, known = KINDS["columns"]
     double = known | {"gain": [0.5, 0.515]}
     both = [frames(8, tap, **known), frames(9, tap, light=0.5, **double)]
@@ -326,7 +328,7 @@ def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
         file = tmp_path / f"{name}.toml"
         first.records[name](file)
         far = deviations(jv.read_sensor(file), jv.read_sensor(file, draws=200), numbers, 2)
-        assert np.abs(far[[0, 2, 3]]).max() < 4  # the black level is the best fit's in every draw
+        assert np.abs(far[[0, 2, 3]]).max() < 4  # all draws have the best fit's black level
         camera = Camera(bits=12, taps=(1, 2))
         light = 1.0 if numbers is known else 0.5
         for site in camera.sites:
@@ -338,7 +340,7 @@ def test_each_gain_of_several_has_one_camera_of_all_taps(tmp_path):
 @pytest.mark.sweep
 @pytest.mark.parametrize("pattern", [None, "RGGB"])
 def test_parts_of_a_frame_are_taps(pattern):
-    """By the rig and by the record of the sensor alike, in frames of odd sizes too."""
+    """The rig and the sensor's record agree, also for frames of odd sizes."""
     camera = Camera(
         bits=12,
         taps="quadrants",
@@ -372,8 +374,9 @@ def test_parts_of_a_frame_are_taps(pattern):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", ["", ', taps = "left and right"'])
-def test_a_mosaic_that_is_read_in_halves_has_one_camera(tmp_path, stated):
-    """Eight sites; halves that the rig does not state are found in the planes of the mosaic."""
+def test_a_mosaic_read_out_in_halves_has_one_camera(tmp_path, stated):
+    """There are eight sites. Halves that the rig does not state are found in the planes of the
+    mosaic."""
     tap = (COLUMN >= 48) * 4 + BAYER
     known = {
         "gain": [0.25] * 4 + [0.265] * 4,
@@ -388,7 +391,7 @@ def test_a_mosaic_that_is_read_in_halves_has_one_camera(tmp_path, stated):
     sections[0].records["sensor"](tmp_path / "sensor.toml")
     sensor = jv.read_sensor(tmp_path / "sensor.toml")
     draws = jv.read_sensor(tmp_path / "sensor.toml", draws=200)
-    order = [0, 1, 4, 5, 2, 3, 6, 7]  # of the numbers above, by rows of the cells side by side
+    order = [0, 1, 4, 5, 2, 3, 6, 7]  # of the values above, by rows of adjacent cells
     of_sites = {name: np.asarray(own)[order] for name, own in known.items()}
     assert np.abs(deviations(sensor, draws, of_sites, 8)).max() < 4
     written_rig(tmp_path, frames(31, tap, **known), "bits = 12")
@@ -397,5 +400,5 @@ def test_a_mosaic_that_is_read_in_halves_has_one_camera(tmp_path, stated):
     told = [sentence for one in compared for sentence in one.findings]
     assert not any("differ significantly" in sentence for sentence in told)
     photons = np.full((*SHAPE, 1), 8000.0)
-    raw = jv.expected_signal(sensor, photons / 0.01)  # of an exposure of .01 s
+    raw = jv.expected_signal(sensor, photons / 0.01)  # an exposure of .01 s
     np.testing.assert_allclose(jv.sensor.correct(raw, sensor, unit="photons").image, photons)

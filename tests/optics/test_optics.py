@@ -1,4 +1,4 @@
-"""Pixel rays by hand, and the camera equation against the integral that it approximates."""
+"""Tests pixel rays by hand, and the camera equation against the integral that it approximates."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +48,7 @@ def test_orthographic_rays_are_parallel_and_one_pitch_apart():
     assert all((as_array(one.direction) == jnp.asarray([0.0, 0, 1])).all() for one in rays)
 
 
-def test_without_f_number_radiance_is_handed_on():
+def test_without_an_f_number_radiance_is_unchanged():
     view = Pinhole([0, 0, 0], EYE, 0.05, 0.01, resolution=(2, 4))
     radiance = jnp.arange(24.0).reshape(2, 4, 3)
     np.testing.assert_array_equal(sensor_irradiance(view, radiance), radiance)

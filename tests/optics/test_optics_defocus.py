@@ -1,6 +1,5 @@
-"""Defocus by a depth map against the lens sampled ray by ray: equal on a plane, and measurably
-different where one surface hides another.
-"""
+"""Tests defocus by a depth map against sampling the lens by rays: equal on a plane, and measurably
+different where one surface hides another."""
 
 from functools import partial
 
@@ -29,7 +28,7 @@ ROUND, TRIANGLE = lens(), lens(s.PolygonalAperture(3, angle=0.4))
 
 
 def texture(x, y, pitch):
-    """The pattern of a plane at a slope, (2,): waves about ten pixels long."""
+    """Return the pattern of a plane at a slope, (2,): waves about ten pixels long."""
     return jnp.stack(
         [
             0.5 + 0.3 * jnp.sin(400 * pitch * x + 1) * jnp.cos(300 * pitch * y),
@@ -39,7 +38,7 @@ def texture(x, y, pitch):
 
 
 def along(ray, planes):
-    """(colour, depth) where a ray first meets a plane of (depth, covers x < , pitch)."""
+    """Return (colour, depth) where a ray first hits a plane of (depth, covers x < , pitch)."""
     colour, depth = jnp.zeros(2), jnp.asarray(jnp.inf)
     for distance, end, pitch in reversed(planes):
         x = ray.origin.x + ray.direction.x / ray.direction.z * distance
@@ -52,7 +51,8 @@ def along(ray, planes):
 
 @jax.jit
 def pictures(view, planes):
-    """(through the lens, sharp, depth): the first by 33 x 33 rays a pixel."""
+    """Return (picture through the lens, sharp picture, depth), the first with 33 x 33 rays per
+    pixel."""
     grid = (jnp.arange(33.0) + 0.5) / 33
     u = jnp.stack(jnp.meshgrid(grid, grid, indexing="ij"), -1).reshape(-1, 2)
 
@@ -86,8 +86,8 @@ FORMS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 @pytest.mark.parametrize("blur", [-R, 0, R])
-def test_on_a_plane_all_forms_are_the_sampled_lens(view, blur):
-    """At the largest blur, for which the bank of three has a kernel."""
+def test_on_a_plane_all_methods_equal_the_sampled_lens(view, blur):
+    """The blur is the largest for which the bank of three has a kernel."""
     image = 1 / (1 / 0.05 - 1 / 2.0)
     blur = blur * 8 / 9 if view is ROUND else blur
     distance = 1 / (1 / 2.0 + blur * 3e-5 / (0.0125 * image))
@@ -103,8 +103,8 @@ def test_on_a_plane_all_forms_are_the_sampled_lens(view, blur):
 
 
 @pytest.mark.slow
-def test_where_one_surface_hides_another_only_layers_come_near():
-    """A blurred foreground before a sharp background, and a sharp one before a blurred."""
+def test_at_occlusions_only_layers_are_accurate():
+    """A blurred foreground is in front of a sharp background, or the opposite."""
     near = pictures(ROUND, [(1.3, 0.0, 1.0), (2.0, jnp.inf, 1.5)])
     errors = {name: rms(form(ROUND, *near[1:]), near[0]) for name, form in FORMS.items()}
     # measured: .039, .076 and .020
@@ -117,11 +117,11 @@ def test_where_one_surface_hides_another_only_layers_come_near():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("layers", [2, 8])
-def test_a_post_thinner_than_its_blur_lets_the_background_through(layers):
-    """Behind its middle, a black post before a white wall in focus hides the strip of the lens that
-    it covers: 2 / pi (asin q + q sqrt(1 - q^2)) of a disc, q the post over the blur.
-    """
-    half = 2.0  # of the post, pixels: four columns
+def test_a_post_thinner_than_its_blur_is_partly_transparent(layers):
+    """Behind the centre of a black post in front of a white wall in focus, the post blocks a strip
+    of the lens: 2 / pi (asin q + q sqrt(1 - q^2)) of a disc, with q the post's width over the
+    blur."""
+    half = 2.0  # half of the post, pixels
     columns = np.arange(SHAPE[1]) - (SHAPE[1] - 1) / 2
     post = np.broadcast_to(np.abs(columns) < half, SHAPE)
     focus, near = lens(), 1.4
@@ -144,7 +144,7 @@ def random_scene():
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
-def test_scattering_keeps_the_light_and_the_others_a_flat_picture(view):
+def test_scattering_preserves_the_light_and_others_a_uniform_picture(view):
     picture, depth = random_scene()
     got = FORMS["scatter"](view, picture, depth)
     np.testing.assert_allclose(got.sum((0, 1)), picture.sum((0, 1)), rtol=1e-12)

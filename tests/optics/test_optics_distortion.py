@@ -1,6 +1,5 @@
-"""Distortion against OpenCV, its inverse in round trips, conservation of flux, and the pictures
-that distortion and lateral colour errors make.
-"""
+"""Tests distortion against OpenCV, its inverse in round trips, conservation of flux, and pictures
+with distortion and lateral chromatic aberration."""
 
 import re
 import warnings
@@ -50,13 +49,14 @@ def test_distort_is_opencvs(lens):
 
 @pytest.mark.sweep
 @each_lens
-def test_there_and_back(lens):
+def test_distortion_is_inverted(lens):
     back = both(optics.undistort, lens, both(optics.distort, lens, SLOPES))
     np.testing.assert_allclose(back, SLOPES, atol=1e-12)
 
 
-def test_derivatives_are_those_of_the_inverse():
-    """By the place: the inverse matrix. By the coefficients: a difference quotient."""
+def test_derivatives_equal_those_of_the_inverse():
+    """The derivative by position is the inverse matrix, and by the coefficients it equals a
+    difference quotient."""
     place = a([0.31, -0.44])
 
     def there(p):
@@ -85,7 +85,7 @@ def test_derivatives_are_those_of_the_inverse():
         np.testing.assert_allclose(got[:, i], slope, atol=1e-9)
 
 
-def test_rays_go_through_the_distortion():
+def test_rays_follow_the_distortion():
     plain, bent = (
         s.Pinhole([1, 2, 3], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=d)
         for d in (None, BARREL)
@@ -97,8 +97,9 @@ def test_rays_go_through_the_distortion():
 
 
 @pytest.mark.parametrize("k", [-0.25, 0.3])
-def test_where_a_picture_is_stretched_it_is_darker(k):
-    """A ring of the sky, of radii r and dr, is a ring of the radii r (1 + k r^2) and its change."""
+def test_a_stretched_picture_is_darker(k):
+    """A ring of the sky with radii r and dr becomes one of radius r (1 + k r^2) and its
+    differential."""
     lens = s.Distortion([k])
     view = s.Pinhole([0, 0, 0], EYE, 1.0, 0.1, resolution=(9, 9), f_number=2, distortion=lens)
     r = 0.5
@@ -110,10 +111,9 @@ def test_where_a_picture_is_stretched_it_is_darker(k):
 
 
 @pytest.mark.slow
-def test_distortion_keeps_the_flux():
-    """Under a flat sky all the light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,
-    wherever distortion puts it.
-    """
+def test_distortion_conserves_the_flux():
+    """Under a uniform sky all light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,
+    wherever distortion puts it."""
     edge = 0.6
     for lens in (s.Distortion([-0.25, 0.05]), s.Distortion([0.3])):
         view = s.Pinhole(
@@ -142,7 +142,7 @@ VIEW = s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=BAR
 
 
 @pytest.mark.slow
-def test_pictures_are_bent_as_the_rays_are():
+def test_pictures_are_distorted_like_rays():
     """The picture of a function of the slope is that function along the distorted rays."""
 
     def shown(view, row, column):
@@ -155,7 +155,7 @@ def test_pictures_are_bent_as_the_rays_are():
     inner = (slice(8, -8), slice(8, -8))
     got = jax.jit(optics.undistort_image)(VIEW, bent)
     np.testing.assert_allclose(got[inner], ideal[inner], atol=2e-3)
-    middle = (slice(20, -20), slice(25, -25))  # a barrel shows more than the ideal picture has
+    middle = (slice(20, -20), slice(25, -25))  # a barrel shows more than the ideal picture
     again = jax.jit(optics.distort_image)(VIEW, ideal)
     np.testing.assert_allclose(again[middle], bent[middle], atol=2e-3)
     linear = jax.jit(partial(optics.distort_image, interpolation="linear"))(VIEW, ideal)
@@ -163,7 +163,7 @@ def test_pictures_are_bent_as_the_rays_are():
 
 
 @pytest.mark.slow
-def test_cubic_interpolation_keeps_parabolas_and_linear_keeps_ramps():
+def test_cubic_interpolation_preserves_parabolas_and_linear_ramps():
     rows, columns = GRID
     r, c = a(np.random.default_rng(1).uniform(3, 50, size=(2, 5, 7)))
     parabola = ((rows - 9) * (columns + rows / 3))[..., None]
@@ -177,7 +177,7 @@ def test_cubic_interpolation_keeps_parabolas_and_linear_keeps_ramps():
 
 
 @pytest.mark.slow
-def test_lateral_colour_magnifies_each_band_about_the_middle():
+def test_lateral_colour_magnifies_each_band_about_the_centre():
     blob = jnp.exp(-((GRID[0] - 40) ** 2 + (GRID[1] - 59.5) ** 2) / 18)[..., None].repeat(
         2, axis=-1
     )
@@ -208,8 +208,8 @@ def test_pictures_that_do_not_fit_are_refused():
 @pytest.mark.parametrize(
     "coefficients", [(), (-0.2, 0.05, 0.003, -0.002), (0.1, -0.05, 0, 0, 0.02)]
 )
-def test_a_camera_of_opencv_sees_points_where_opencv_projects_them(coefficients):
-    """fx != fy, (cx, cy) off the middle, any pose."""
+def test_an_opencv_camera_projects_points_like_opencv(coefficients):
+    """fx and fy differ, (cx, cy) is off centre, and the pose is arbitrary."""
     rng = np.random.default_rng(0)
     matrix = np.array([[800.0, 0.0, 250.5], [0.0, 840.0, 290.25], [0.0, 0.0, 1.0]])
     turn, moved = np.array([0.2, -0.3, 0.1]), np.array([0.1, -0.2, 0.4])
@@ -229,7 +229,7 @@ def test_a_camera_of_opencv_sees_points_where_opencv_projects_them(coefficients)
     along = points - np.asarray(view.position)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     np.testing.assert_allclose(np.asarray(as_array(rays.direction)), along, atol=1e-8)
-    step = 1e-4  # of slope: the area of the image by finite differences of cv2's
+    step = 1e-4  # of slope: area by finite differences of cv2's
     corners = np.array([[0.3, 0.2, 1], [0.3 + step, 0.2, 1], [0.3, 0.2 + step, 1]])
     zero = np.zeros(3)
     a, b, c = cv2.projectPoints(corners, zero, zero, matrix, known)[0][:, 0] / 800 / step
@@ -253,7 +253,7 @@ CHEAP = np.array([[43.0, 0, 20.0], [0, 43.0, 19.9], [0, 0, 1]])
 
 
 def said_of_folds(make):
-    """Return the shares in %, that are named while a view is made."""
+    """Return the view, and the shares in % that are named while it is made."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         view = make()
@@ -265,9 +265,9 @@ def said_of_folds(make):
     ("k1", "p1", "share"),
     [(-0.2, 0, 0), (-0.525, 0, 0.0725), (-1.2, 0, 0.5575), (0, 0.3, 0.2475), (-0.1, 1e-3, 0)],
 )
-def test_pixels_beyond_a_fold_are_counted(k1, p1, share):
-    """Against pixels from which no slope is found; bad calibrations have such pixels, and those
-    that give k3 where p1 stands."""
+def test_pixels_beyond_a_fold_of_the_distortion_are_counted(k1, p1, share):
+    """The reference counts pixels for which no slope is found. They occur with bad calibrations,
+    and with k3 in the place of p1."""
     coefficients = [k1, 0, p1, 0]
     view, named = said_of_folds(
         lambda: optics.opencv_view(CHEAP, coefficients=coefficients, resolution=(40, 40))
@@ -321,7 +321,7 @@ def test_a_fold_is_named_wherever_a_view_is_made(tmp_path):
         read_scene(tmp_path / "scene.toml")
 
 
-def test_a_picture_that_is_undistorted_beyond_a_fold_is_named():
+def test_undistorting_a_picture_beyond_a_fold_is_named():
     with pytest.warns(UserWarning, match="where no light falls"):
         folded = optics.opencv_view(CHEAP, coefficients=[-1.2, 0, 0, 0], resolution=(40, 40))
     plain = optics.opencv_view(CHEAP, coefficients=[-0.3, 0, 0, 0], resolution=(40, 40))

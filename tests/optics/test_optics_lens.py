@@ -1,4 +1,5 @@
-"""The thin lens: its law by hand and by ray transfer matrices, its rays by refraction, its blur."""
+"""Tests the thin lens: its law by hand and by ray transfer matrices, its rays by refraction, its
+blur."""
 
 from functools import partial
 
@@ -27,7 +28,7 @@ def a(x):
 
 
 def test_lensmaker_against_ray_transfer_matrices():
-    """f = -1 / C of the matrix product refraction, travel, refraction (Hecht, section 6.2)."""
+    """f = -1 / C of the matrix product refraction, propagation, refraction (Hecht, section 6.2)."""
     for c1, c2, n, t in [(10.0, -10.0, 1.5, 0.01), (5.0, 8.0, 1.7, 0.03), (-4.0, 6.0, 1.3, 0.02)]:
         enter, travel, leave = (
             np.array([[1, 0], [-c1 * (n - 1) / n, 1 / n]]),
@@ -43,7 +44,7 @@ def test_lensmaker_against_ray_transfer_matrices():
     assert jnp.isfinite(optics.lens_focal_length(a(0), a(0), a(1.5)))  # a window pane
 
 
-def test_working_f_number_is_that_of_the_bellows():
+def test_working_f_number_includes_the_image_distance():
     got = optics.working_f_number(a(N), a([0.1, 1.0, np.inf]), a(F))
     np.testing.assert_allclose(got, [2 * N, N * (1 + 0.05 / 0.95), N], rtol=1e-14)
 
@@ -51,14 +52,14 @@ def test_working_f_number_is_that_of_the_bellows():
 # ---------------------------------------------------------------- depth of field
 
 
-def test_depth_of_field_ends_where_the_blur_is_allowed():
+def test_depth_of_field_ends_at_the_allowed_blur():
     blur = a(3e-5)
     near, far = optics.depth_of_field(a(FOCUS), a(F), a(8.0), blur)
     ends = optics.circle_of_confusion(jnp.stack([near, far]), a(FOCUS), a(F), a(8.0))
     np.testing.assert_allclose(ends, 3e-5, rtol=1e-12)
     h = F + F * F / (8.0 * 3e-5)
     np.testing.assert_allclose(optics.hyperfocal_distance(a(F), a(8.0), blur), h, rtol=1e-15)
-    # the published form, for example Ray, Applied Photographic Optics, section 22
+    # the published form, for example in Ray, Applied Photographic Optics, section 22
     np.testing.assert_allclose(near, FOCUS * (h - F) / (h + FOCUS - 2 * F), rtol=1e-13)
     np.testing.assert_allclose(far, FOCUS * (h - F) / (h - FOCUS), rtol=1e-13)
     near, far = optics.depth_of_field(a([h * 1.001, np.inf]), a(F), a(8.0), blur)
@@ -73,7 +74,8 @@ rays_of = jax.jit(jax.vmap(optics.lens_ray, in_axes=(None, None, None, 0)))
 
 
 def test_lens_rays_are_refracted_by_the_thin_lens():
-    """From the sensor, upside down at -z_i, to a point of the lens, and there bent by -a / f."""
+    """Rays go from the sensor, upside down at -z_i, to a point of the lens, where they are
+    deflected by -a / f."""
     row, column = 2.3, 7.9
     x, y = (column - 4.5) * 1e-4, (row - 3.5) * 1e-4
     rays = rays_of(LENS, a(row), a(column), a(GRID))
@@ -126,7 +128,7 @@ def test_view_ray_of_each_view():
 @pytest.mark.sweep
 @pytest.mark.parametrize("distance", [0.8, 1.6, 3.0, np.inf])
 def test_sampled_edge_is_as_wide_as_the_circle_of_confusion(distance):
-    """A bright half-plane at a known depth, seen through the lens ray by ray, is the integral of a
+    """A bright half-plane at a known depth, sampled by rays through the lens, is the integral of a
     disc of the circle's radius: 1/2 + (t sqrt(1 - t^2) + arcsin t) / pi."""
     view = s.ThinLens([0, 0, 0], EYE, F, 1e-5, resolution=(1, 161), f_number=N, focus_distance=2.0)
     n = 64
@@ -156,9 +158,8 @@ def test_sampled_edge_is_as_wide_as_the_circle_of_confusion(distance):
 
 
 def test_irradiance_is_the_integral_over_the_lens_at_the_image_distance():
-    """E = integral of L cos cos' / r^2 over a disc of diameter f / N at the distance z_i, far off
-    the axis of a lens focused close, where z_i is 1.5 f.
-    """
+    """E is the integral of L cos cos' / r^2 over a disc of diameter f / N at the distance z_i, far
+    off axis in a close-up, where z_i is 1.5 f."""
     f, n, focus, radiance = 0.05, 40.0, 0.15, 3.0
     view = s.ThinLens([0, 0, 0], EYE, f, 0.03, resolution=(1, 3), f_number=n, focus_distance=focus)
     z = 1 / (1 / f - 1 / focus)
@@ -177,7 +178,7 @@ def test_irradiance_is_the_integral_over_the_lens_at_the_image_distance():
     np.testing.assert_allclose(middle[0] / middle[1], (f / z) ** 2, rtol=1e-13)
 
 
-# ---------------------------------------------------------------- what cannot be meant
+# ---------------------------------------------------------------- invalid values
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_bad_records_are_refused():
 
 
 def test_views_are_made_inside_transformations():
-    """Traced values are unknown and therefore accepted."""
+    """Traced values are unknown, and therefore accepted."""
 
     def sharpness(focal_length):
         view = s.ThinLens(
@@ -241,7 +242,7 @@ def test_views_are_made_inside_transformations():
     np.testing.assert_allclose(jax.jit(jax.grad(sharpness))(a(F)), -1 / F**2, rtol=1e-12)
 
 
-def test_a_focal_length_in_mm_beside_a_blur_in_m_is_a_sentence():
+def test_a_focal_length_in_mm_with_a_blur_in_m_is_a_sentence():
     for f, blur in ((50.0, 30e-6), (a([0.05, 50.0]), a(1e-5))):
         with pytest.raises(ValueError, match=r"hyperfocal_distance: .* in m \(50 mm are 0.05\)"):
             optics.hyperfocal_distance(f, 8.0, blur)

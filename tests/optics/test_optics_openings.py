@@ -1,6 +1,5 @@
-"""Apertures: their points, areas, images and overlaps by brute force, and diffraction by transforms
-and published functions.
-"""
+"""Tests apertures: their points, areas, images and overlaps by brute force, and diffraction by
+transforms and published functions."""
 
 from functools import partial
 from itertools import pairwise
@@ -29,7 +28,7 @@ def a(x):
 
 
 def inside(aperture, x, y):
-    """Whether points, relative to the radius, lie in the aperture, by its definition."""
+    """Return whether points, relative to the radius, are in the aperture, by its definition."""
     match aperture:
         case s.CircularAperture():
             return x * x + y * y <= 1
@@ -45,9 +44,9 @@ def inside(aperture, x, y):
 
 
 def squares(n, half):
-    """(x, y) of the centres of the n x n cells of a square."""
+    """Return (x, y) of the centres of the n x n cells of a square."""
     edge = ((np.arange(n) + 0.5) / n * 2 - 1) * half
-    return np.meshgrid(edge, edge)  # x to the right, y down the rows
+    return np.meshgrid(edge, edge)  # x to the right, y down
 
 
 # ---------------------------------------------------------------- apertures
@@ -55,9 +54,9 @@ def squares(n, half):
 
 @pytest.mark.sweep
 @each_aperture
-def test_points_fill_the_opening_evenly(aperture):
-    """All points lie inside, with the moments of the area: an uneven map has other moments."""
-    n = 100  # a multiple of the blades
+def test_points_fill_the_aperture_uniformly(aperture):
+    """All points are inside, with the moments of the area. A nonuniform map has other moments."""
+    n = 100  # a multiple of the number of blades
     u = jnp.asarray(np.stack(squares(n, 0.5), -1).reshape(-1, 2) + 0.5)
     x, y = (np.asarray(v) for v in jax.vmap(lambda v: optics.aperture_point(aperture, v))(u))
     assert inside(aperture, x, y).all()
@@ -79,7 +78,7 @@ kernel_of = jax.jit(partial(optics.aperture_kernel, size=9))
 @pytest.mark.sweep
 @each_aperture
 @pytest.mark.parametrize("radius", [0.7, 3.3, -3.3])
-def test_kernel_is_the_share_of_each_pixel(aperture, radius):
+def test_kernel_is_the_covered_share_of_each_pixel(aperture, radius):
     kernel = np.asarray(kernel_of(aperture, a(radius)))
     fine = 150
     x, y = squares(9 * fine, 4.5)
@@ -91,20 +90,20 @@ def test_kernel_is_the_share_of_each_pixel(aperture, radius):
 @pytest.mark.slow
 @each_aperture
 @pytest.mark.parametrize("radius", [0.03, 42.0])
-def test_kernel_keeps_its_digits(aperture, radius):
-    """Of an opening much smaller than a pixel, or much larger."""
+def test_kernel_is_accurate_in_float32(aperture, radius):
+    """The aperture's image is much smaller than a pixel, or much larger."""
     size = 2 * int(radius) + 3
     wide = np.asarray(optics.aperture_kernel(aperture, a(np.float32(radius)), size=size))
     narrow = jax.tree.map(lambda x: x.astype(jnp.float32), aperture)
     kernel = np.asarray(optics.aperture_kernel(narrow, jnp.float32(radius), size=size), float)
     assert (kernel >= 0).all()
-    # the lens's edge is known to half a last digit of its radius
+    # the edge has an error of half a ULP of its radius
     whole = 1 / max(1, float(optics.aperture_area(aperture, a(2 * radius))))
     np.testing.assert_allclose(kernel, wide, atol=max(1, 4 * radius) * 2.5e-7 * whole)
 
 
 @pytest.mark.slow
-def test_kernel_of_no_blur_is_the_pixel_and_even_sizes_are_refused():
+def test_kernel_without_blur_is_the_pixel_and_even_sizes_are_refused():
     kernel = optics.aperture_kernel(s.CircularAperture(), a(0.0), size=3)
     np.testing.assert_allclose(kernel, [[0, 0, 0], [0, 1, 0], [0, 0, 0]], atol=1e-14)
     with pytest.raises(ValueError, match="size must be an odd number of at least 1, got 4"):
@@ -126,7 +125,7 @@ def test_kernel_of_no_blur_is_the_pixel_and_even_sizes_are_refused():
     ],
 )
 def test_overlap_of_discs_against_integration(distance, first, second):
-    """Both discs are cut into chords across the line of their centres."""
+    """Both discs are cut into chords perpendicular to the line between their centres."""
 
     def chord(x):
         one, other = first**2 - x**2, second**2 - (x - distance) ** 2
@@ -153,7 +152,7 @@ AT = a([1.0, 1.0 + SIDES[0], 1.0 + SIDES[0], 1.0]), a([2.0, 2.0, 2.0 + SIDES[1],
     ],
     ids=["all of the polygon", "nothing", "all of the disc", "a segment"],
 )
-def test_overlap_keeps_its_digits(centre, radius, area):
+def test_overlap_is_accurate_in_float32(centre, radius, area):
     arguments = [jnp.asarray(x, jnp.float32) for x in (*centre, radius, *AT)]
     got = jax.jit(optics.overlap_of_disc_and_polygon)(*arguments)
     np.testing.assert_allclose(got, area, rtol=2e-6)
@@ -177,7 +176,7 @@ def test_overlap_of_disc_and_polygon_against_counting(name, centre, radius):
 
 @jax.jit
 def seen_through_rim(view, row, column, u):
-    """(where rays of a pixel cross the plane of the rim, share of them that passes it)."""
+    """Return (where rays of a pixel cross the plane of the rim, share of them that passes it)."""
     rays = jax.vmap(lambda v: optics.lens_ray(view, row, column, v))(u)
     along = view.rim.distance / rays.direction.z
     at = as_array(rays.origin) + as_array(rays.direction) * along[:, None]
@@ -205,7 +204,7 @@ def test_clear_fraction_is_the_share_of_lens_rays_through_the_rim(aperture, focu
     assert max(shares) > shares[1]
 
 
-def test_irradiance_has_the_rims_share():
+def test_irradiance_includes_the_rims_share():
     open_lens, cut = (
         s.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-3, resolution=(31, 41), f_number=2.0, rim=rim)
         for rim in (None, s.Rim(0.04, 0.024))
@@ -227,7 +226,7 @@ WAVELENGTH, F_NUMBER = 5.5e-7, 8.0
 @pytest.mark.sweep
 @pytest.mark.parametrize("pitch", [1.5e-6, 4e-6, 8e-6])
 def test_airy_kernel_against_integration(pitch):
-    """Each weight, before rescaling, is a double integral; the ratios of weights are compared."""
+    """Each weight, before rescaling, is a double integral. Ratios of weights are compared."""
     kernel = np.asarray(optics.airy_kernel(a(WAVELENGTH), a(F_NUMBER), a(pitch), size=5))
 
     def pattern(y, x):
@@ -246,8 +245,9 @@ def test_airy_kernel_against_integration(pitch):
 
 
 @pytest.mark.parametrize("rings", [2, 2.95, 3.05, 6, 8, 11, 20, 47])
-def test_pixels_of_many_rings_get_their_share(rings):
-    """Pixels of that many lambda N, against the pattern summed at 12 places a ring and more."""
+def test_pixels_of_many_rings_have_the_right_share(rings):
+    """The pixels measure this many lambda N. The reference sums the pattern at 12 or more positions
+    per ring."""
     unit, size = WAVELENGTH * F_NUMBER, 5
     kernel = np.asarray(optics.airy_kernel(a(WAVELENGTH), a(F_NUMBER), a(rings * unit), size=size))
     nodes, weights = np.polynomial.legendre.leggauss(max(24, int(6 * rings)))

@@ -1,5 +1,5 @@
-"""Aberrations: against the Airy pattern, geometrical optics, Marechal and the pupil's
-autocorrelation."""
+"""Tests aberrations against the Airy pattern, geometrical optics, Marechal's formula and the
+pupil's autocorrelation."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ def term(j, metres):
     return np.eye(j)[j - 1] * metres
 
 
-def test_terms_are_orthonormal_and_as_noll_numbers_them():
+def test_terms_are_orthonormal_and_numbered_as_by_noll():
     nodes, weights = np.polynomial.legendre.leggauss(12)
     square, angle = (nodes + 1) / 2, 2 * np.pi * np.arange(40) / 40
     radius = np.sqrt(square)[:, None]
@@ -55,7 +55,7 @@ def test_without_aberrations_it_is_the_airy_pattern():
 
 
 @pytest.mark.slow
-def test_with_a_stop_it_is_the_difference_of_two_patterns():
+def test_with_a_central_stop_it_is_the_difference_of_two_patterns():
     """U = 2 J1(x) / x - s^2 2 J1(s x) / (s x)."""
     from scipy.special import j1
 
@@ -70,7 +70,7 @@ def test_with_a_stop_it_is_the_difference_of_two_patterns():
 @pytest.mark.sweep
 @pytest.mark.parametrize("angle", [0.3, 0.0])
 def test_a_rectangle_and_a_square_of_blades_have_the_pattern_of_slits(angle):
-    """U = sinc(w x / (lambda N)) sinc(h y / (lambda N)); the square by a half-diagonal of 1."""
+    """U = sinc(w x / (lambda N)) sinc(h y / (lambda N)). The square has a half-diagonal of 1."""
     fine = (np.arange(11)[:, None] + (np.arange(40) + 0.5) / 40 - 5.5).ravel() * 2e-6 / (WAVE * 8)
     x, y = np.meshgrid(fine, fine)
 
@@ -84,7 +84,7 @@ def test_a_rectangle_and_a_square_of_blades_have_the_pattern_of_slits(angle):
 
     slits = pixels(np.sinc(0.5 * x) * np.sinc(0.8 * y))
     np.testing.assert_allclose(kernel(RectangularAperture(0.5, 0.8)), slits, atol=2e-5)
-    turn = angle + np.pi / 4  # of a side's normal
+    turn = angle + np.pi / 4  # angle of a side's normal
     across, along = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
     square = pixels(np.sinc(across / np.sqrt(2)) * np.sinc(along / np.sqrt(2)))
     found = kernel(PolygonalAperture(4, angle=angle))
@@ -94,7 +94,7 @@ def test_a_rectangle_and_a_square_of_blades_have_the_pattern_of_slits(angle):
 @pytest.mark.sweep
 @pytest.mark.parametrize("blades", [5, 3, 6])
 def test_with_aberrations_a_polygon_is_the_sum_over_its_points(blades):
-    """Over a grid of 700 x 700 points, by NumPy."""
+    """The reference sums over a grid of 700 x 700 points in NumPy."""
     error = term(8, 0.2 * WAVE) + np.append(term(5, 0.1 * WAVE), [0, 0, 0])
     side = (np.arange(700) + 0.5) / 350 - 1
     u, v = np.meshgrid(side, side)
@@ -113,7 +113,7 @@ def test_with_aberrations_a_polygon_is_the_sum_over_its_points(blades):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("j", [4, 6, 7, 11])
-def test_small_aberrations_lower_the_peak_as_marechal_says(j):
+def test_small_aberrations_lower_the_peak_by_marechals_formula(j):
     def peak(metres):
         at = {"size": 241, "samples": 96, "order": 1}
         return optics.wavefront_kernel(term(j, metres), WAVE, 8.0, 4e-7, **at)[120, 120]
@@ -125,11 +125,11 @@ def test_small_aberrations_lower_the_peak_as_marechal_says(j):
 
 @pytest.mark.slow
 def test_a_large_defocus_is_the_disc_of_geometrical_optics():
-    """Of radius 2 N dW/drho = 8 sqrt(3) N a at the rim, where the wave has a bright fringe."""
+    """The radius is 2 N dW/drho = 8 sqrt(3) N a at the edge, where the wave has a bright fringe."""
     waves = 4 * WAVE
     radius = 8 * np.sqrt(3) * 8 * waves / 1e-5  # pixels
     lines = [[0.98 * WAVE, WAVE, 1.02 * WAVE]]
-    sampling = {"order": 7, "samples": 270}  # the fewest that it takes
+    sampling = {"order": 7, "samples": 270}  # the fewest possible
     kernel = optics.wavefront_kernel(term(4, waves), lines, 8.0, 1e-5, size=65, **sampling)[..., 0]
     rows, columns = np.mgrid[:65, :65] - 32
     apart = np.hypot(rows, columns)
@@ -141,7 +141,7 @@ def test_a_large_defocus_is_the_disc_of_geometrical_optics():
 
 @pytest.mark.slow
 def test_the_transfer_is_the_autocorrelation_of_the_pupil():
-    """At a fifth of the cut-off in two directions; the pixel's share is divided out."""
+    """Compared at a fifth of the cut-off in two directions, divided by the pixel's MTF."""
     error = term(8, 0.1 * WAVE) + np.append(term(5, 0.15 * WAVE), [0, 0, 0])
     pitch, size = 2.2e-6, 61
     kernel = np.asarray(optics.wavefront_kernel(error, WAVE, 8.0, pitch, size=size))
@@ -153,7 +153,7 @@ def test_the_transfer_is_the_autocorrelation_of_the_pupil():
         return np.where(x * x + y * y < 1, np.exp(2j * np.pi * w / WAVE), 0)
 
     for way in ((1.0, 0.0), (0.6, 0.8)):
-        shift = 0.2 * np.array(way)  # of both pupils from the middle
+        shift = 0.2 * np.array(way)  # of both pupils from the centre
         overlap = pupil(at[0] + shift[0], at[1] + shift[1]) * np.conj(
             pupil(at[0] - shift[0], at[1] - shift[1])
         )
@@ -164,7 +164,7 @@ def test_the_transfer_is_the_autocorrelation_of_the_pupil():
             2j * np.pi * (frequency[0] * places[None, :] + frequency[1] * places[:, None])
         )
         found = (kernel * phase).sum() / np.prod(np.sinc(frequency * pitch))
-        assert abs(found - wanted) < 0.01  # light beyond the kernel is 1 %
+        assert abs(found - wanted) < 0.01  # 1 % of the light is beyond the kernel
 
 
 def test_without_aberrations_the_transfer_is_that_of_the_disc():
@@ -186,7 +186,7 @@ def test_without_aberrations_the_transfer_is_that_of_the_disc():
 @pytest.mark.slow
 @pytest.mark.parametrize("aperture", [CircularAperture(), PolygonalAperture(5, angle=0.2)])
 def test_the_transfer_is_the_overlap_of_two_pupils(aperture):
-    """Over a grid of 1500 x 1500 points, by NumPy."""
+    """The reference sums over a grid of 1500 x 1500 points in NumPy."""
     error = WAVE * np.array([0, 0, 0, 0.1, 0.15, 0, 0.05, 0.1, 0, 0, 0.07])
     side = 1.8 * ((np.arange(1500) + 0.5) / 750 - 1)
     u, v = np.meshgrid(side, side)
@@ -210,7 +210,7 @@ def test_the_transfer_is_the_overlap_of_two_pupils(aperture):
 
 
 @pytest.mark.slow
-def test_a_lens_with_a_wavefront_spreads_its_picture():
+def test_a_lens_with_a_wavefront_blurs_its_picture():
     lens = {
         "position": [0, 0, 0],
         "rotation": np.eye(3),
@@ -233,7 +233,7 @@ def test_a_lens_with_a_wavefront_spreads_its_picture():
     np.testing.assert_allclose(sharp, airy, atol=1e-7 * float(airy.max()))
     np.testing.assert_allclose(tilted[4, 5], airy[4, 4], rtol=0.02)  # one pixel to the right
     assert stopped[4, 4] < 0.8 * airy[4, 4]
-    spikes = np.asarray(bladed[..., 0])  # a hexagon with corners to the right sends light up
+    spikes = np.asarray(bladed[..., 0])  # corners at the right diffract light upwards
     assert spikes[:2, 4].sum() > 1.2 * spikes[4, :2].sum()
     with pytest.raises(ValueError, match=r"got PolygonalAperture; give ThinLens\.diffraction"):
         ThinLens(**lens, diffraction=Diffraction(WAVE), aperture=PolygonalAperture(6))
@@ -261,7 +261,7 @@ def test_too_few_nodes_are_refused(more, said):
         ({"pixel_pitch": -1e-6}, r"pixel_pitch must be above 0, got -1e-06"),
     ],
 )
-def test_what_no_lens_has_is_refused(more, said):
+def test_impossible_lenses_are_refused(more, said):
     lens = {"wavelength": WAVE, "f_number": 8.0, "pixel_pitch": 4e-6, "size": 9}
     with pytest.raises(ValueError, match=said):
         optics.wavefront_kernel(SHARP, **{**lens, **more})
@@ -271,8 +271,8 @@ def test_what_no_lens_has_is_refused(more, said):
 
 
 @pytest.mark.slow
-def test_coefficients_are_fitted_from_a_star_with_intervals_that_hold():
-    """Two focus settings tell the signs of the even terms, which one star leaves open."""
+def test_coefficients_are_fitted_from_stars_with_intervals_that_cover():
+    """Two focus settings determine the signs of the even terms, which one star does not."""
     truth = np.array([30e-9, -45e-9, 60e-9])  # m: astigmatism, coma, spherical aberration
     offsets = jnp.array([-80e-9, 80e-9])
 
@@ -303,4 +303,4 @@ def test_coefficients_are_fitted_from_a_star_with_intervals_that_hold():
             (one.value - 1e9 * true) / one.standard_error
             for one, true in zip(found.estimates, truth, strict=True)
         ]
-    assert 0.4 < np.mean(np.square(z)) < 1.9  # of 24
+    assert 0.4 < np.mean(np.square(z)) < 1.9  # for 24 values

@@ -1,5 +1,6 @@
-"""Every BRDF family as its source prints it: one pair of directions, NumPy and angles, nothing of
-the library's rearrangements. Local frame; each returns f_r as a list of bands."""
+"""Every BRDF family as printed in its source, for one pair of directions in NumPy, with angles and
+without the library's reformulations. Directions are in the local frame. Each function returns f_r
+as a list of bands."""
 
 import cmath
 import math
@@ -39,7 +40,7 @@ def blinn(wi, wo, *, kd, ks, n, kind):
 
 
 def fresnel(cos_i, eta, k):
-    """Unpolarised reflectance from the complex amplitudes; k = 0 is a dielectric."""
+    """Return the unpolarised reflectance from the complex amplitudes; k = 0 is a dielectric."""
     m = complex(eta, k)
     cos_t = cmath.sqrt(1 - (1 - cos_i**2) / m**2)
     s = (cos_i - m * cos_t) / (cos_i + m * cos_t)
@@ -48,7 +49,7 @@ def fresnel(cos_i, eta, k):
 
 
 def smith_lambda(w, alpha, distribution):
-    """Heitz (2014), equations 68 and 72, with the slope of the direction's own azimuth."""
+    """Return Heitz (2014), equations 68 and 72, with the roughness in the direction's azimuth."""
     sin_t = math.hypot(w[0], w[1])
     if sin_t == 0:
         return 0.0
@@ -82,7 +83,7 @@ def torrance_sparrow(
 
 
 def oren_nayar(wi, wo, *, kd, sigma, full):
-    """The paper's equations 27 to 30, in angles."""
+    """Return the paper's equations 27 to 30, in angles."""
     t_i, t_o = math.acos(wi[2]), math.acos(wo[2])
     phi = math.atan2(wi[1], wi[0]) - math.atan2(wo[1], wo[0])
     a, b = max(t_i, t_o), min(t_i, t_o)
@@ -105,8 +106,8 @@ def oren_nayar(wi, wo, *, kd, sigma, full):
 
 
 def eon(wi, wo, *, kd, r):
-    """Listing 1 of Portsmouth, Kutz & Hill (2025); its albedo of a single reflection by quadrature
-    of the first term, not by the paper's closed form."""
+    """Return listing 1 of Portsmouth, Kutz & Hill (2025). The albedo of a single reflection is by
+    quadrature of the first term, not by the paper's closed form."""
     rho = np.asarray(kd) * math.pi
     s = float(np.dot(wi, wo)) - wi[2] * wo[2]
     single = 1 + r * (s / max(wi[2], wo[2]) if s > 0 else s)
@@ -120,8 +121,8 @@ def _unit_facets(r):
 
 
 def _lost(r, cos_o):
-    """Of a white surface, 1 - E: over rings of light at theta, with 1 / pi for the mean of the
-    positive and of the negative half of cos(phi)."""
+    """Return 1 - E of a white surface, by integration over rings of light at theta. The mean of
+    each half of cos(phi), positive and negative, is 1 / pi."""
     theta_o, x = math.acos(cos_o), NODES[0]
     reflected = 0.0
     for low, high in ((0.0, theta_o), (theta_o, math.pi / 2)):
@@ -143,8 +144,8 @@ NODES = np.polynomial.legendre.leggauss(64)
 
 
 def albedo(plain, wo):
-    """The integral of f_r cos over light, over rings of polar angle, split where the lobes
-    bend."""
+    """Return the integral of f_r cos over incident light, by rings of polar angle, split at the
+    lobes' kinks."""
     theta_o, phi_o = math.acos(wo[2]), math.atan2(wo[1], wo[0])
 
     def ring(theta):

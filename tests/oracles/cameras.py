@@ -27,7 +27,7 @@ class CameraTruth:
 
 
 def expose(rng, camera, photons, exposure, shape, *, die=None):
-    """Digital numbers of `shape` (frames, ...pixels) at `photons` and `exposure` (s)."""
+    """Return digital numbers of `shape` (frames, ...pixels) at `photons` and `exposure` (s)."""
     light = photons
     if photons > 0:
         light = (photons + camera.light_offset) * (1 + camera.light_scatter * rng.normal())
@@ -42,18 +42,20 @@ def expose(rng, camera, photons, exposure, shape, *, die=None):
 
 
 def make_die(rng, camera, pixels):
-    """(relative response, dark electrons) of each pixel of one die."""
+    """Return (relative response, dark electrons) of each pixel of one die."""
     return 1 + camera.prnu * rng.standard_normal(pixels), camera.dsnu * rng.standard_normal(pixels)
 
 
 def moments(frames):
-    """(mean, temporal variance, spatial variance of the pixels' means) of (frames, ...pixels)."""
+    """Return (mean, temporal variance, spatial variance of the pixels' means) of (frames,
+    ...pixels)."""
     average = frames.mean(axis=0)
     return frames.mean(), frames.var(axis=0, ddof=1).mean(), average.var(ddof=1)
 
 
 def sweep(rng, camera, photons, exposures, shape, *, die=None):
-    """Rows of `moments`, (levels, 3), for a sweep of bright levels and one of their darks."""
+    """Return rows of `moments`, (levels, 3), for a sweep of bright levels and one of their
+    darks."""
     return tuple(
         np.array(
             [

@@ -9,7 +9,8 @@ import numpy as np
 
 
 def fresnel(c, eta):
-    """Of light at the cosine c onto a surface of the index eta behind over that before it."""
+    """Return the reflectance at the cosine c of a surface, where eta is the index behind over that
+    in front."""
     root = np.sqrt(np.maximum(eta**2 - 1 + c * c, 0))
     s, p = (c - root) / (c + root), (eta**2 * c - root) / (eta**2 * c + root)
     return np.where(eta**2 - 1 + c * c <= 0, 1.0, (s * s + p * p) / 2)
@@ -31,7 +32,8 @@ def visible_normals(w, alpha, rng):
 
 
 def at_facets(w, alpha, eta, rng):
-    """Whether photons from w (photons, 3), z > 0, are reflected, and whether they are refracted."""
+    """Return whether photons from w (photons, 3), z > 0, are reflected, and whether they are
+    refracted."""
     h = visible_normals(w, alpha, rng)
     c = np.sum(w * h, axis=1)
     mirrored = 2 * c[:, None] * h - w
@@ -48,9 +50,9 @@ def at_facets(w, alpha, eta, rng):
 
 
 def albedo(cosine, alpha, rho, *, eta=1.5, count=400_000, seed=0, most=None, stops=False):
-    """Share of the light at a cosine that a coat of this roughness over a body of albedo rho
-    returns. As in pbrt, a walk may end after `most` reflections by the body, and light that facets
-    stop may be lost."""
+    """Return the share of the light at a cosine that a coat of this roughness over a body of albedo
+    rho returns. As in pbrt, a walk may end after `most` reflections by the body, and light that
+    facets block may be lost."""
     rng = np.random.default_rng(seed)
     w = np.tile([np.sqrt(1 - cosine**2), 0, cosine], (count, 1))
     back, through = at_facets(w, alpha, eta, rng)
@@ -69,8 +71,8 @@ def albedo(cosine, alpha, rho, *, eta=1.5, count=400_000, seed=0, most=None, sto
 
 
 def metal_albedo(cosine, alpha, f0, *, eta=1.5, depth=0.0, count=400_000, seed=0):
-    """Share of the light at a cosine that GGX facets of Schlick's reflectance return through a
-    smooth coat. Light that facets stop is lost, as in a lobe of single scattering."""
+    """Return the share of the light at a cosine that GGX facets of Schlick's reflectance return
+    through a smooth coat. Light that facets block is lost, as in a lobe of single scattering."""
     rng = np.random.default_rng(seed)
     escaped = rng.binomial(count, fresnel(cosine, eta))
     sine = np.sqrt(1 - cosine**2) / eta

@@ -1,5 +1,5 @@
-"""Irradiance from a uniform rectangle in 50 digits: the polygon is cut at the horizon corner by
-corner (Sutherland and Hodgman), and Lambert's contour sum taken with arc cosines. mpmath only."""
+"""Irradiance from a uniform rectangle with 50 digits, by mpmath only: the polygon is clipped at the
+horizon (Sutherland and Hodgman), and Lambert's contour sum is taken with arc cosines."""
 
 import mpmath as mp
 from oracles.exact import dot
@@ -14,14 +14,15 @@ def cross(a, b):
 
 
 def irradiance(corner, edge_u, edge_v, point, normal):
-    """Per unit of radiance; every argument a list of three mpmath numbers."""
+    """Return the irradiance per unit of radiance. Every argument is a list of three mpmath
+    numbers."""
     first = [c - p for c, p in zip(corner, point, strict=True)]
     along = [a + b for a, b in zip(first, edge_u, strict=True)]
     across = [a + b for a, b in zip(first, edge_v, strict=True)]
     opposite = [a + b for a, b in zip(along, edge_v, strict=True)]
     if dot(cross(edge_u, edge_v), first) >= 0:
         return mp.mpf(0)
-    polygon = [first, across, opposite, along]  # counterclockwise for the receiver
+    polygon = [first, across, opposite, along]  # counterclockwise as seen by the receiver
     kept = []
     for i, b in enumerate(polygon):
         a = polygon[i - 1]
@@ -44,8 +45,8 @@ def irradiance(corner, edge_u, edge_v, point, normal):
 
 
 def gradient(corner, edge_u, edge_v, point, normal):
-    """Derivatives with respect to the same fifteen numbers, in that order, by differences at a
-    precision that makes them exact in 20 digits."""
+    """Return the derivatives with respect to the same fifteen numbers, in this order, by
+    differences that are accurate to 20 digits."""
     numbers = [*corner, *edge_u, *edge_v, *point, *normal]
 
     def of(i, x):

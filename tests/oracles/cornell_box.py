@@ -10,7 +10,7 @@ a gap. Colours and lamp: Mitsuba's "cbox", the measured spectra as RGB.
 import numpy as np
 
 WIDTH, HEIGHT, DEPTH = 0.556, 0.5488, 0.5592
-BELOW_CEILING = 0.0005  # the lamp's distance to the ceiling, which it lies in
+BELOW_CEILING = 0.0005  # m, distance of the lamp from the ceiling
 WHITE = (0.885809, 0.698859, 0.666422)
 GREEN = (0.105421, 0.37798, 0.076425)
 RED = (0.570068, 0.0430135, 0.0443706)
@@ -18,7 +18,7 @@ RADIANCE = (18.387, 13.9873, 6.75357)  # of the lamp
 EYE, TARGET, UP = (0.278, 0.273, -0.8), (0.278, 0.273, 0.0), (0.0, 1.0, 0.0)
 FOCAL_LENGTH, FILM = 0.035, 0.025
 
-# first corner and its two neighbours, turning counterclockwise where the face is seen
+# first corner and its two neighbours, counterclockwise as seen from the visible side
 _ROOM = (
     ((0, 0, 0), (0, 0, DEPTH), (WIDTH, 0, 0)),  # floor
     ((0, HEIGHT, 0), (WIDTH, 0, 0), (0, 0, DEPTH)),  # ceiling
@@ -33,7 +33,7 @@ _TALL = ((0.423, 0.247), (0.265, 0.296), (0.472, 0.406), 0.330)
 
 
 def _block(first, beside, other, height):
-    """Four sides and a top as (corner, edge_u, edge_v), fronts outside."""
+    """Return four sides and a top as (corner, edge_u, edge_v), with fronts outside."""
     u, v = np.subtract(beside, first), np.subtract(other, first)
     base = np.array([first[0], 0, first[1]])
     along, across = np.array([u[0], 0, u[1]]), np.array([v[0], 0, v[1]])
@@ -60,8 +60,8 @@ LAMP = (
 
 
 def scene(*, emissive_surface=False):
-    """The box, all Lambert, as a `Scene`: the lamp is a `RectangleLight`, or a black surface that
-    shines."""
+    """Return the box as a `Scene` of Lambertian surfaces. The lamp is a `RectangleLight` or a black
+    surface with emission."""
     from jaxvision import Lambert, RectangleLight, Scene, Surface
     from jaxvision.scene import Quad
 
@@ -76,7 +76,7 @@ def scene(*, emissive_surface=False):
 
 
 def view(side):
-    """The published camera with `side` x `side` pixels."""
+    """Return the published camera with `side` x `side` pixels."""
     import jax.numpy as jnp
 
     from jaxvision import Pinhole, look_at

@@ -1,10 +1,10 @@
-"""Direct light in NumPy float64, by rays and area-measure nodes, on records that it only reads: no
-code of the library's. `picture` is what `render` should show."""
+"""Direct light in NumPy float64, by rays and area-measure nodes. The library's records are only
+read, and none of its code is used. `picture` is the picture that `render` should give."""
 
 import numpy as np
 
 OFFSET = 1e-6
-SKY = 10, 20  # nodes of a sky, polar and around: for lobes no narrower than 0.32 rad
+SKY = 10, 20  # nodes of a sky, polar and azimuthal, for lobes wider than 0.32 rad
 
 
 def number(x):
@@ -139,7 +139,7 @@ def fresnel(interface, c):
 
 
 def facets(m, n, wi, wo):
-    """F D G / (4 cos_o) of isotropic facets."""
+    """Return F D G / (4 cos_o) for isotropic facets."""
     h = unit(wi + wo)
     a = float(np.max(number(m.roughness)))
     c_h, c_i, c_o = (np.maximum(dots(n, w), 1e-12) for w in (h, wi, wo))
@@ -184,7 +184,8 @@ def oren_nayar(m, n, wi, wo):
 
 
 def eon(m, n, wi, wo):
-    """By the closed form of the albedo, in angles (Portsmouth, Kutz & Hill, listing 1)."""
+    """Return EON with the closed form of the albedo, in angles (Portsmouth, Kutz & Hill, listing
+    1)."""
     r, c_i, c_o, k = float(m.roughness), dots(n, wi), dots(n, wo), number(m.diffuse)
     a = 1 / (1 + (0.5 - 2 / (3 * np.pi)) * r)
     s = dots(wi, wo) - c_i * c_o
@@ -204,7 +205,7 @@ def eon(m, n, wi, wo):
 
 
 def reflected(m, n, wi, wo):
-    """Radiance toward `wo` per irradiance of a facing surface."""
+    """Return the radiance toward `wo` per irradiance of a surface that faces the light."""
     c_i = dots(n, wi)
     lit = ((c_i > 0) & (dots(n, wo) > 0))[:, None]
     cosine = np.maximum(c_i, 0)[:, None]
@@ -245,7 +246,8 @@ def reflected(m, n, wi, wo):
 
 
 def sky_radiance(light, w):
-    """Bilinear between pixel centres, around the seam; beyond the first and last row, theirs."""
+    """Interpolate bilinearly between pixel centres and across the seam. Outside the first and last
+    rows their values are used."""
     table = number(light.radiance)
     rows, columns, _ = table.shape
     local = w @ number(light.rotation).T
@@ -264,7 +266,8 @@ def sky_radiance(light, w):
 
 
 def arriving(light, p, nodes):
-    """Each node's unit direction, irradiance of a facing surface, (n, bands), and distance."""
+    """Yield each node's unit direction, irradiance of a facing surface, (n, bands), and
+    distance."""
     name, n = kind(light), len(p)
     if name == "DirectionalLight":
         w = unit(number(light.direction))
@@ -301,8 +304,8 @@ def arriving(light, p, nodes):
 
 
 def cone(light, away):
-    """Relative intensity of a spot light: as in glTF ("smooth"), pbrt ("smoothstep") or Mitsuba
-    ("linear")."""
+    """Return the relative intensity of a spot light, as in glTF ("smooth"), pbrt ("smoothstep") or
+    Mitsuba ("linear")."""
     inner, outer = float(light.inner), float(light.outer)
     cosine = away @ unit(number(light.direction))
     if light.falloff != "linear":
@@ -312,7 +315,8 @@ def cone(light, away):
 
 
 def photometric(light, away):
-    """Relative intensity of a lamp of system C: bilinear in gamma, from -z, and in C, from x."""
+    """Return the relative intensity of a lamp of system C, bilinear in gamma (from -z) and C (from
+    x)."""
     x, y, z = (away @ number(light.rotation).T).T
     gamma, c = np.arccos(np.clip(-z, -1, 1)), np.mod(np.arctan2(y, x), 2 * np.pi)
     planes = np.array([np.interp(c, number(light.horizontal), row) for row in light.distribution])
@@ -359,7 +363,7 @@ def blocked(scene, p, normal, wi, distance):
 
 
 def shaded(scene, surface, p, normal, smooth, wo, nodes):
-    """(n, bands) of the light that points of a surface send toward `wo`."""
+    """Return the radiance, (n, bands), from points of a surface toward `wo`."""
     total = np.zeros((len(p), bands_of(scene)))
     m = surface.material
     for light in scene.lights:
@@ -382,7 +386,7 @@ def shaded(scene, surface, p, normal, smooth, wo, nodes):
 
 
 def lamps(scene, o, d):
-    """What rays see of extended lights alone, (n, bands), and how far away it is."""
+    """Return the radiance, (n, bands), that rays see of extended lights, and its distance."""
     radiance, far = np.zeros((len(d), bands_of(scene))), np.full(len(d), np.inf)
     for light in scene.lights:
         if kind(light) == "EnvironmentMap":
@@ -396,7 +400,7 @@ def lamps(scene, o, d):
 
 
 def rays(view):
-    """Origins and unit directions of the pixels' centres."""
+    """Return origins and unit directions of the pixels' centres."""
     rows, columns = view.resolution
     pitch = float(view.pixel_pitch)
     y, x = np.meshgrid(
@@ -417,7 +421,8 @@ def rays(view):
 
 
 def picture(scene, view, *, nodes=8):
-    """(h, w, bands) W m^-2 sr^-1; `nodes`: along each side of a rectangle."""
+    """Return the picture, (h, w, bands) in W m^-2 sr^-1, with `nodes` along each side of a
+    rectangle."""
     o, d = rays(view)
     found = [hit(surface.shape, o, d) for surface in scene.surfaces]
     distances = np.stack([t for t, _, _ in found])

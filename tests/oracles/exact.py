@@ -1,4 +1,4 @@
-"""Formulas in 50 digits, and distances in units of the last place. mpmath and NumPy only."""
+"""Formulas with 50 digits, and differences in ULP, by mpmath and NumPy only."""
 
 import mpmath as mp
 import numpy as np
@@ -7,7 +7,7 @@ mp.mp.dps = 50
 
 
 def number(x):
-    """The exact value of one floating-point number."""
+    """Return the exact value of a floating-point number."""
     return mp.mpf(float(x))
 
 
@@ -24,7 +24,7 @@ def length(v):
 
 
 def cosine(u, v):
-    """Cosine between vectors of any length."""
+    """Return the cosine between vectors of any length."""
     return dot(u, v) / (length(u) * length(v))
 
 
@@ -33,7 +33,7 @@ def angle(u, v):
 
 
 def mirrored(normal, w):
-    """`w` mirrored about the direction of `normal`, which need not be exactly unit."""
+    """Return `w` mirrored about the direction of `normal`, which need not have unit length."""
     twice = 2 * dot(normal, w) / dot(normal, normal)
     return [twice * n - c for n, c in zip(normal, w, strict=True)]
 
@@ -47,7 +47,8 @@ def phong(normal, wi, wo, kd, ks, exponent):
 
 
 def sphere_distance(origin, direction, centre, radius):
-    """Textbook quadratic, in 50 digits: the smallest positive root, None for a miss."""
+    """Return the smallest positive root of the textbook quadratic with 50 digits, or None for a
+    miss."""
     f = [o - c for o, c in zip(origin, centre, strict=True)]
     a, half_b, c = dot(direction, direction), dot(f, direction), dot(f, f) - radius**2
     discriminant = half_b**2 - a * c
@@ -58,7 +59,7 @@ def sphere_distance(origin, direction, centre, radius):
 
 
 def ulps(got, exact):
-    """|got - exact| in units of the last place of `got`'s dtype at `exact`."""
+    """Return |got - exact| in ULP of `got`'s dtype at `exact`."""
     got = np.asarray(got)
     spacing = float(np.spacing(got.dtype.type(abs(float(exact)))))
     return float(abs(number(got) - exact) / mp.mpf(spacing))

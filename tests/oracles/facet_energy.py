@@ -1,10 +1,10 @@
-"""Fits the polynomials of `jaxvision/brdf/facet_energy.npz` to quadratures in plain NumPy.
+"""Fit the polynomials of `jaxvision/brdf/facet_energy.npz` to quadratures in plain NumPy.
 
     python tests/oracles/facet_energy.py
 
-Of one reflection by Smith's facets (height-correlated), a slope being r (cos psi, sin psi) in units
-of alpha, up to the horizon, with nodes dense about psi = pi / 2 for grazing views. Two minutes.
-"""
+The quadratures integrate a single reflection by Smith's facets (height-correlated), with slopes r
+(cos psi, sin psi) in units of alpha, up to the horizon. Nodes are dense near psi = pi / 2 for
+grazing views. The script takes two minutes."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from scipy.special import erfc
 
 LOW, HIGH = 1e-3, 1.0  # roughness
 INDICES = 1.1, 2.5
-DEGREES = {"ggx": (14, 10, 8), "beckmann": (18, 16, 8)}  # of cosine, roughness and index
+DEGREES = {"ggx": (14, 10, 8), "beckmann": (18, 16, 8)}  # degrees in cosine, roughness and index
 FILE = Path(__file__).parents[2] / "jaxvision" / "brdf" / "facet_energy.npz"
 
 
@@ -24,7 +24,7 @@ def legendre(n):
 
 
 def hidden(c, s, a, distribution):
-    """cos(theta) Lambda."""
+    """Return cos(theta) Lambda."""
     if distribution == "ggx":
         return (a * s) ** 2 / np.maximum(2 * (np.sqrt(c * c + (a * s) ** 2) + c), 1e-300)
     t = np.maximum(a * s, 1e-150)
@@ -38,7 +38,8 @@ def fresnel(c, eta):
 
 
 def single(mu, a, distribution, etas, radii=40, turns=48):
-    """What white facets reflect, and what clear ones of each index do, seen at the cosine `mu`."""
+    """Return the reflectance of white facets, and of clear ones with each index, seen at the cosine
+    `mu`."""
     s_o = np.sqrt(max(1 - mu * mu, 0))
     steep = a * s_o
     leap = max(mu / max(steep, mu / 8), 1e-3)

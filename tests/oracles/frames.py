@@ -1,4 +1,4 @@
-"""Frames of one level, summed up as the reader of a rig does."""
+"""Summarise frames of one level as the reader of a rig does."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from fitting.noise.live_pixels import LivePixels
 def level_of(
     stack: np.ndarray,
 ) -> tuple[np.ndarray, float, tuple[float, ...]]:
-    """Average, temporal variance and what lines share, of one level's frames."""
+    """Return average, temporal variance and variances shared by lines, of one level's frames."""
     live, count = LivePixels(np.ones(stack[0].shape, bool)), len(stack)
     shifts = stack.mean(axis=(1, 2))
     still = stack - shifts[:, None, None]
@@ -23,7 +23,8 @@ def level_of(
 
 
 def shared_variance(of_levels: np.ndarray, shape: tuple[int, ...]) -> SharedVariance:
-    """The shared variances from the lines of each level, as `level_of` gives them, (5, levels)."""
+    """Return the shared variances from the lines of each level, (5, levels), as `level_of` gives
+    them."""
     return SharedVariance(
         *map(jnp.asarray, (of_levels[:2], of_levels[2:4], of_levels[4], np.array(shape, float)))
     )
@@ -32,7 +33,7 @@ def shared_variance(of_levels: np.ndarray, shape: tuple[int, ...]) -> SharedVari
 def levels_sharing(
     shared: SharedVariance, variance: np.ndarray, frames: int, spatial: np.ndarray | None = None
 ) -> Levels:
-    """Dark levels of these shared, temporal and spatial variances."""
+    """Return dark levels with these shared, temporal and spatial variances."""
     one = jnp.ones(len(variance))
     return Levels(
         *(0 * one, one, 100 * one, jnp.asarray(variance), frames * one, jnp.prod(shared.shape)),

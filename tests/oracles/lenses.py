@@ -1,15 +1,14 @@
-"""A lens in plain NumPy, from the geometry of its rays: what a pixel sees and how bright it is.
+"""A lens in plain NumPy by ray geometry: what a pixel sees, and its brightness.
 
-Lengths in m; slopes are m to the side per m forward. A rim in front of the lens stops those rays
-that pass outside of it.
-"""
+Lengths are in m, and slopes in m to the side per m forward. A rim in front of the lens blocks rays
+that pass outside it."""
 
 import numpy as np
 from scipy import special
 
 
 def disc(radius, rings=60):
-    """Points of equal area in a disc, (n, 2)."""
+    """Return points of equal area in a disc, (n, 2)."""
     n = 3 * rings**2
     k = np.arange(n) + 0.5
     r, angle = np.sqrt(k / n), np.pi * (1 + 5**0.5) * k
@@ -17,7 +16,7 @@ def disc(radius, rings=60):
 
 
 def slopes(shape, pitch, distance):
-    """(2, h, w) slopes of the rays through the middle of the lens, without distortion."""
+    """Return the slopes, (2, h, w), of rays through the centre of the lens without distortion."""
     h, w = shape
     x = (np.arange(w) - (w - 1) / 2) * pitch / distance
     y = (np.arange(h) - (h - 1) / 2) * pitch / distance
@@ -25,7 +24,8 @@ def slopes(shape, pitch, distance):
 
 
 def undistorted(places, radial, tangential=(0.0, 0.0)):
-    """Slopes that Brown's polynomial images at those places, by fixed-point iteration."""
+    """Return the slopes that Brown's polynomial images to these positions, by fixed-point
+    iteration."""
     u = places.copy()
     for _ in range(400):
         x, y = u
@@ -39,7 +39,7 @@ def undistorted(places, radial, tangential=(0.0, 0.0)):
 
 
 def spread(u, radial, tangential=(0.0, 0.0), step=1e-6):
-    """Area of the distorted image over that of the ideal one, by differences."""
+    """Return the area of the distorted image over that of the ideal one, by differences."""
 
     def image(x, y):
         r2 = x * x + y * y
@@ -59,9 +59,9 @@ def spread(u, radial, tangential=(0.0, 0.0), step=1e-6):
 
 
 def clear(u, radius, focus, rim_distance, rim_radius):
-    """(h, w) share of the lens whose rays pass the rim: the overlap of two discs."""
+    """Return the share of the lens, (h, w), whose rays pass the rim: the overlap of two discs."""
     r, d = radius * abs(1 - rim_distance * focus), rim_distance * np.hypot(*u)
-    near = np.clip(np.abs(rim_radius - r), None, d)  # the lens within the rim, or around it
+    near = np.clip(np.abs(rim_radius - r), None, d)  # the lens is inside the rim, or around it
     d = np.clip(d, near * (1 + 1e-15) + 1e-300, rim_radius + r)
     half = np.arccos(np.clip((d**2 + r**2 - rim_radius**2) / (2 * d * r), -1, 1))
     other = np.arccos(np.clip((d**2 + rim_radius**2 - r**2) / (2 * d * rim_radius), -1, 1))
@@ -70,12 +70,14 @@ def clear(u, radius, focus, rim_distance, rim_radius):
 
 
 def through(points, slope, depth, focus):
-    """Where rays from points of the lens, aimed at the plane in focus, cross a depth: (n, 2)."""
+    """Return where rays from points of the lens, aimed at the plane in focus, cross a depth, (n,
+    2)."""
     return points * (1 - depth * focus) + depth * slope
 
 
 def airy(wavelength, f_number, pitch, size, fine=61):
-    """(size, size) shares of a point's light on the pixels around it, by midpoints, of sum 1."""
+    """Return the shares of a point's light on the pixels around it, (size, size), by midpoints,
+    with sum 1."""
     middle = (np.arange(size * fine) + 0.5) / fine - size / 2
     r = np.hypot(*np.meshgrid(middle, middle)) * pitch
     x = np.pi * r / (wavelength * f_number)

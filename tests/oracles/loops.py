@@ -1,8 +1,7 @@
-"""A renderer and tone curves as naive Python loops in NumPy float64, straight from the textbook.
+"""A renderer and tone curves as naive Python loops in NumPy float64, directly from the textbook.
 
-It shares no code and no numerical trick with the library: arccos of inner products, the schoolbook
-quadratic, one pixel and one light at a time.
-"""
+They share neither code nor numerical methods with the library: arccos of inner products, the
+quadratic formula, one pixel and one light at a time."""
 
 import math
 
@@ -14,14 +13,14 @@ def unit(v):
 
 
 def look_at(position, target, up):
-    """Rows right, down and forward of a camera."""
+    """Return the rows right, down and forward of a camera."""
     forward = unit(np.subtract(target, position))
     right = unit(np.cross(forward, up))
     return np.stack([right, np.cross(forward, right), forward])
 
 
 def sphere(origin, direction, centre, radius):
-    """(distance, normal) or None."""
+    """Return (distance, normal), or None."""
     f = origin - centre
     b, c = 2 * f @ direction, f @ f - radius**2
     discriminant = b * b - 4 * c
@@ -34,7 +33,7 @@ def sphere(origin, direction, centre, radius):
 
 
 def plane(origin, direction, point, normal):
-    """(distance, normal) or None."""
+    """Return (distance, normal), or None."""
     slope = normal @ direction
     if slope == 0:
         return None
@@ -43,7 +42,7 @@ def plane(origin, direction, point, normal):
 
 
 def lobe(material, mirror, wo):
-    """Specular factor of a material given as a dict."""
+    """Return the specular factor of a material given as a dict."""
     theta = math.acos(min(1.0, max(-1.0, mirror @ wo)))
     if material["kind"] == "phong":
         return max(0.0, math.cos(theta)) ** material["exponent"] if theta < math.pi / 2 else 0.0
@@ -51,7 +50,8 @@ def lobe(material, mirror, wo):
 
 
 def shade(material, lights, ambient, point, normal, wo, others=()):
-    """k_a L_a + sum E (k_d [n.l]+ + k_s lobe), black from behind; no light through `others`."""
+    """Return k_a L_a + sum E (k_d [n.l]+ + k_s lobe), black from behind, without light through
+    `others`."""
     colour = np.zeros(len(material["diffuse"]))
     if normal @ wo <= 0:
         return colour
@@ -80,8 +80,9 @@ def shade(material, lights, ambient, point, normal, wo, others=()):
 
 
 def render(surfaces, lights, ambient, rays, bands):
-    """`surfaces`: (intersect(origin, direction) -> (t, normal) | None, material dict) pairs, whose
-    fronts lie in no shadow of their own; `rays`: (h, w) nested lists of (origin, direction)."""
+    """Render pairs `surfaces` of (intersect(origin, direction) -> (t, normal) | None, material
+    dict), whose fronts are not in their own shadow. `rays` are (h, w) nested lists of (origin,
+    direction)."""
     picture = np.zeros((len(rays), len(rays[0]), bands))
     for i, row in enumerate(rays):
         for j, (origin, direction) in enumerate(row):
@@ -99,7 +100,7 @@ def render(surfaces, lights, ambient, rays, bands):
 
 
 def srgb_encode(x):
-    """One number at a time, IEC 61966-2-1."""
+    """Encode one number by IEC 61966-2-1."""
     return 12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055
 
 

@@ -1,4 +1,4 @@
-"""Measured BRDFs the slow way: NumPy only, one pair of directions at a time, files byte by byte."""
+"""Measured BRDFs by NumPy only, for one pair of directions at a time, with files byte by byte."""
 
 import struct
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def directions(rng, count, *, highest=np.pi / 2):
-    """Unit vectors (count, 3) above the surface, elevations up to `highest` rad."""
+    """Return unit vectors (count, 3) above the surface, with polar angles up to `highest` rad."""
     z = rng.uniform(np.cos(highest), 1, count)
     phi = rng.uniform(-np.pi, np.pi, count)
     s = np.sqrt(1 - z * z)
@@ -14,7 +14,7 @@ def directions(rng, count, *, highest=np.pi / 2):
 
 
 def rotated(v, axis, angle):
-    """Rodrigues' formula."""
+    """Rotate by Rodrigues' formula."""
     axis = np.asarray(axis, float)
     return (
         v * np.cos(angle)
@@ -24,7 +24,7 @@ def rotated(v, axis, angle):
 
 
 def half_difference(wi, wo):
-    """(theta_h, phi_h, theta_d, phi_d) by two rotations, as Rusinkiewicz defines them."""
+    """Return (theta_h, phi_h, theta_d, phi_d) by two rotations, as defined by Rusinkiewicz."""
     h = (wi + wo) / np.linalg.norm(wi + wo)
     theta_h, phi_h = np.arccos(min(h[2], 1)), np.arctan2(h[1], h[0])
     d = rotated(rotated(wi, [0, 0, 1], -phi_h), [0, 1, 0], -theta_h)
@@ -32,7 +32,7 @@ def half_difference(wi, wo):
 
 
 def merl_bin(angles, shape=(90, 90, 180)):
-    """The indices that the reader published with the database computes."""
+    """Return the indices computed by the reader published with the database."""
     theta_h, _, theta_d, phi_d = angles
     n_h, n_d, n_p = shape
     i = min(int(np.sqrt(theta_h / (np.pi / 2)) * n_h), n_h - 1)
@@ -42,14 +42,14 @@ def merl_bin(angles, shape=(90, 90, 180)):
 
 
 def merl_bytes(reflectance, shape=(90, 90, 180), *, order="<"):
-    """A MERL file of reflectance(theta_h, theta_d, phi_d) -> (..., 3) in sr^-1, taken at the
-    middles of the bins; bins with a direction below the surface are marked by -1."""
+    """Return a MERL file of reflectance(theta_h, theta_d, phi_d) -> (..., 3) in sr^-1 at the
+    centres of the bins. Bins with a direction below the surface are marked by -1."""
     n_h, n_d, n_p = shape
     theta_h = ((np.arange(n_h) + 0.5) / n_h) ** 2 * np.pi / 2
     theta_d = (np.arange(n_d) + 0.5) / n_d * np.pi / 2
     phi_d = (np.arange(n_p) + 0.5) / n_p * np.pi
     h, d, p = np.meshgrid(theta_h, theta_d, phi_d, indexing="ij")
-    # z of the difference vector, and of its opposite about h, after turning h back by theta_h.
+    # z of the difference vector, and of its mirror image about h, after rotating h back by theta_h
     along, across = np.cos(d) * np.cos(h), np.sin(d) * np.cos(p) * np.sin(h)
     below = (along - across <= 0) | (along + across <= 0)
     stored = np.moveaxis(reflectance(h, d, p), -1, 0) * np.array(
@@ -60,7 +60,8 @@ def merl_bytes(reflectance, shape=(90, 90, 180), *, order="<"):
 
 
 def tensor_bytes(fields):
-    """A tensor file in the layout of `measured_files._tensor_file`, data after all heads."""
+    """Return a tensor file in the layout of `measured_files._tensor_file`, with data after all
+    headers."""
     kinds = {"uint8": 1, "float32": 10, "float64": 11}
     arrays = {name: np.ascontiguousarray(x) for name, x in fields.items()}
     start = 14 + 4 + sum(2 + len(n) + 2 + 1 + 8 + 8 * x.ndim for n, x in arrays.items())
@@ -74,8 +75,8 @@ def tensor_bytes(fields):
 
 
 def rgl_fields(rng, *, phi=(0.0,), thetas=4, side=5, fine=25, bands=None):
-    """Random tables in the form of an RGL file, visible normals within some 50 degrees of the
-    surface's; spectral with `bands` wavelengths."""
+    """Return random tables in the form of an RGL file, with visible normals within about 50 degrees
+    of the surface normal, and spectral for given wavelengths `bands`."""
     phi = np.asarray(phi, np.float32)
     x = np.linspace(0, 1, fine, dtype=np.float32)
     narrow = np.exp(-((x / np.float32(0.4)) ** 4))
@@ -86,7 +87,7 @@ def rgl_fields(rng, *, phi=(0.0,), thetas=4, side=5, fine=25, bands=None):
 
     def turning(*shape):
         table = smooth(*shape)
-        table[..., -1, :] = table[..., 0, :]  # half vectors at azimuths -pi and pi are the same
+        table[..., -1, :] = table[..., 0, :]  # azimuths -pi and pi are equal
         return table
 
     fields = {
@@ -108,7 +109,7 @@ def rgl_fields(rng, *, phi=(0.0,), thetas=4, side=5, fine=25, bands=None):
 
 
 def _at(nodes, x):
-    """Index and weight of linear interpolation, clamped."""
+    """Return indices and weight of linear interpolation, clamped."""
     if len(nodes) == 1:
         return 0, 0, 0.0
     i = int(np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2))
@@ -116,7 +117,7 @@ def _at(nodes, x):
 
 
 def _slice(table, fields, phi, theta):
-    """The table (p, t, ...) at a direction."""
+    """Return the table (p, t, ...) at a direction."""
     p0, p1, wp = _at(fields["phi_i"].astype(float), phi)
     t0, t1, wt = _at(fields["theta_i"].astype(float), theta)
     table = table.astype(float)
@@ -126,21 +127,21 @@ def _slice(table, fields, phi, theta):
 
 
 def _bilinear(table, x, y):
-    """(rows, columns) over the unit square."""
+    """Interpolate a table (rows, columns) over the unit square."""
     rows, columns = table.shape
     profile = [np.interp(x * (columns - 1), np.arange(columns), row) for row in table]
     return np.interp(y * (rows - 1), np.arange(rows), profile)
 
 
 def _integral_to(values, x):
-    """The integral over [0, x] of the linear interpolant of values on [0, 1]."""
+    """Return the integral over [0, x] of the linear interpolant of values on [0, 1]."""
     nodes = np.linspace(0, 1, len(values))
     points = np.append(nodes[nodes < x], x)
     return np.trapezoid(np.interp(points, nodes, values), points)
 
 
 def normalised(table):
-    """Slices (..., rows, columns) of integral 1 over the unit square."""
+    """Return slices (..., rows, columns) with an integral of 1 over the unit square."""
     table = table.astype(float)
     nodes = [np.linspace(0, 1, n) for n in table.shape[-2:]]
     total = np.trapezoid(np.trapezoid(table, nodes[1]), nodes[0])
@@ -148,8 +149,8 @@ def normalised(table):
 
 
 def rgl_shading(fields, wi, wo):
-    """f_r cos(theta_i) as Dupuy and Jakob define it, of an isotropic material or one whose phi_i
-    spans a turn; and the density of their sampler."""
+    """Return f_r cos(theta_i) as defined by Dupuy and Jakob, for an isotropic material or one whose
+    phi_i spans a full turn, and the density of their sampler."""
     theta, phi = np.arccos(wo[2]), np.arctan2(wo[1], wo[0])
     h = (wi + wo) / np.linalg.norm(wi + wo)
     theta_h, phi_h = np.arccos(h[2]), np.arctan2(h[1], h[0])

@@ -1,11 +1,11 @@
-"""Scenes in Mitsuba's XML, and Mitsuba's own pictures of them, 12 x 16 pixels, in
-`mitsuba_pictures.npz`. With Mitsuba 3 installed (`pip install '.[bench]'`, and its LLVM library
-named by DRJIT_LIBLLVM_PATH)
+"""Scenes in Mitsuba's XML, and Mitsuba's own pictures of them (12 x 16 pixels) in
+`mitsuba_pictures.npz`.
 
     PYTHONPATH=tests python tests/oracles/mitsuba_pictures.py
 
-makes them again: means of 16 pictures of 16,384 samples each, with the standard errors of these
-means."""
+makes the pictures again: means of 16 pictures of 16,384 samples each, with the standard errors of
+these means. It needs Mitsuba 3 (`pip install '.[bench]'`, and its LLVM library in
+DRJIT_LIBLLVM_PATH)."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -158,7 +158,7 @@ end_header
 
 
 def sky() -> np.ndarray:
-    """(64, 128, 3) a smooth sky without symmetry."""
+    """Return a smooth sky without symmetry, (64, 128, 3)."""
     down, along = np.meshgrid(
         np.pi * (np.arange(64) + 0.5) / 64, 2 * np.pi * (np.arange(128) + 0.5) / 128, indexing="ij"
     )
@@ -167,15 +167,15 @@ def sky() -> np.ndarray:
 
 
 def textures() -> dict[str, np.ndarray]:
-    """Codes of small pictures, by name."""
+    """Return the codes of small pictures by name."""
     codes = np.random.default_rng(7).integers(40, 255, (4, 6, 3), np.uint8)
     rough = codes[:, :, 0] // 2 + 60
     return {"colours.png": codes, "rough.png": rough}
 
 
 def write_scenes(folder: Path) -> None:
-    """The scenes and the meshes they name; `sky.exr` and the textures are written by who reads
-    them."""
+    """Write the scenes and their meshes. `sky.exr` and the textures are written by the tests that
+    read them."""
     for name, text in SCENES.items():
         (folder / f"{name}.xml").write_text(text)
     (folder / "corner.ply").write_text(CORNER)

@@ -1,4 +1,4 @@
-"""Random scenes of every kind of light, material and shape, quick to draw by hundreds."""
+"""Random scenes with every type of light, material and shape, which render quickly."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ BLUNTEST = {"exponent": 10.0, "concentration": 2.2}
 
 
 def spread(rng, low, high):
-    """A number whose logarithm is uniform."""
+    """Return a number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -146,7 +146,7 @@ class Draw:
 
 
 def unit_mesh(centre, radius):
-    """Vertices and faces of an octahedron."""
+    """Return vertices and faces of an octahedron."""
     vertices = centre + radius * np.concatenate([np.eye(3), -np.eye(3)])
     faces = [
         (0, 1, 2),
@@ -162,7 +162,7 @@ def unit_mesh(centre, radius):
 
 
 def blunted(material):
-    """With a lobe as broad as the nodes of a sky in `direct_light` resolve."""
+    """Return the material with a lobe as broad as the nodes of a sky in `direct_light` resolve."""
     if isinstance(material, jv.Dichromatic):
         return replace(material, interface=blunted(material.interface))
     own = {
@@ -172,7 +172,7 @@ def blunted(material):
 
 
 def random_scene(seed):
-    """A scene and a view."""
+    """Return a scene and a view."""
     draw = Draw(seed)
     surfaces = draw.surfaces()
     lights = [draw.light() for _ in range(draw.rng.integers(1, 5))]

@@ -1,9 +1,8 @@
 """Mean and variance of every pixel of a sensor in plain NumPy, one effect after the other.
 
-`law` takes a dictionary of numbers, light in electrons per pixel, and whether the pixel in question
-has a trap, is hot or dead; nothing of the library is used. A full well is applied to the exact
-distribution: Poisson counts under Gauss-Hermite nodes of the sensitivity.
-"""
+`law` takes a dictionary of parameters, light in electrons per pixel, and whether the pixel has a
+trap, is hot or dead. Nothing of the library is used. A full well is applied to the exact
+distribution: Poisson counts at Gauss-Hermite nodes of the sensitivity."""
 
 import numpy as np
 from scipy import stats
@@ -12,12 +11,12 @@ K_B, Q = 1.380649e-23, 1.602176634e-19
 
 
 def tap(f, name):
-    """The factor of each pixel's tap on a number, or what it adds to the offset."""
+    """Return the factor of each pixel's tap on a parameter, or its addition to the offset."""
     return f.get("taps", {}).get(name, 0.0 if name == "offset" else 1.0)
 
 
 def shared(picture, weights):
-    """A picture whose pixels share out what they hold; it goes on beyond its borders mirrored."""
+    """Return a picture whose pixels share their charge by `weights`, with mirrored borders."""
     rows, columns = (n // 2 for n in weights.shape)
     wide = np.pad(picture, ((rows, rows), (columns, columns)), mode="symmetric")
     h, w = picture.shape
@@ -30,7 +29,7 @@ def shared(picture, weights):
 
 
 def acted(f, mean, variance):
-    """Mean and variance behind mixing and the compression, to the second order of the noise."""
+    """Return mean and variance after mixing and compression, to second order in the noise."""
     if "mixing" in f:
         mean, variance = shared(mean, f["mixing"]), shared(variance, f["mixing"] ** 2)
     if "nonlinearity" in f:
@@ -44,7 +43,7 @@ def acted(f, mean, variance):
 
 
 def read_variance(f):
-    """electrons^2 behind the conversion that every pixel has."""
+    """Return the variance after the conversion, in electrons^2, that every pixel has."""
     lines = "dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"
     total = sum(f.get(n, 0.0) ** 2 for n in lines)
     total += f.get("banding", 0.0) ** 2 / 2
@@ -62,7 +61,7 @@ def read_variance(f):
 
 
 def drift(f, light):
-    """Expected electrons after smear and crosstalk."""
+    """Return the expected electrons after smear and crosstalk."""
     column = light.sum(0, keepdims=True)
     light = light + f.get("smear", 0.0) * (column - light)
     wide = np.pad(light, 1, mode="edge")
@@ -72,7 +71,7 @@ def drift(f, light):
 
 
 def transfer_matrix(size, inefficiency, trail):
-    """(read in row, from row) shares: binomial probabilities of being left behind."""
+    """Return the shares (read in row, from row): binomial probabilities of being left behind."""
     shares = np.zeros((size, size))
     for i in range(size):
         lag = stats.nbinom.pmf(np.arange(trail), i + 1, 1 - inefficiency)
@@ -84,7 +83,8 @@ def transfer_matrix(size, inefficiency, trail):
 
 
 def moved(f, mean, pattern, counted):
-    """Mean, pattern's variance and counted variance after charge transfer along the columns."""
+    """Return mean, variance of the pattern and counted variance after charge transfer along the
+    columns."""
     if "charge_transfer" not in f:
         return mean, pattern, counted
     rows = transfer_matrix(mean.shape[0], f["charge_transfer"], 8)
@@ -92,9 +92,9 @@ def moved(f, mean, pattern, counted):
 
 
 def charge(f, light, hot):
-    """Mean and variance of the charge that is converted."""
+    """Return mean and variance of the converted charge."""
     p, well = f.get("prnu", 0.0) * tap(f, "prnu"), f.get("full_well", np.inf)
-    excess = f.get("hot", 0.0) if hot else 0.0  # exponential: its rms about the mean is its mean
+    excess = f.get("hot", 0.0) if hot else 0.0  # its standard deviation equals its mean
     if np.isfinite(well):
         return clipped(light, f, hot)
     mean = light + f.get("dark", 0.0) + excess
@@ -103,8 +103,8 @@ def charge(f, light, hot):
 
 
 def clipped(light, f, hot):
-    """Moments of min(N, w): E N 1[N < w] and so on of Poisson counts; sensitivities and the excess
-    of a hot pixel by nodes."""
+    """Return moments of min(N, w): E N 1[N < w] and so on for Poisson counts, with sensitivities
+    and the excess of a hot pixel by quadrature."""
     well = f["full_well"]
     g, weight = np.polynomial.hermite_e.hermegauss(31 if not hot else 7)
     weight = weight / weight.sum()
@@ -129,13 +129,12 @@ def clipped(light, f, hot):
 
 
 def law(f, light, *, trapped=False, hot=False, dead=False):
-    """(mean, rms) in DN of a pixel at each place, before rounding.
+    """Return (mean, standard deviation) in DN of each pixel before rounding.
 
-    f: prnu, conversion_prnu, column_prnu, crosstalk, smear, charge_transfer (inefficiency),
-    dark, hot (electrons), shot (bool), full_well, gain, offset and the sources of `read_variance`;
-    beside (electrons), mixing (kernel), nonlinearity (first, second, electrons) and taps (maps);
-    light: (h, w) expected photoelectrons.
-    """
+    f: prnu, conversion_prnu, column_prnu, crosstalk, smear, charge_transfer (inefficiency), dark,
+    hot (electrons), shot (bool), full_well, gain, offset and the sources of `read_variance`; beside
+    (electrons), mixing (kernel), nonlinearity (first, second, electrons) and taps (maps); light:
+    (h, w) expected photoelectrons."""
     light = (light + f.get("beside", 0.0)) * tap(f, "quantum_efficiency")
     light = drift(f, light) * (0.0 if dead else 1.0)
     mean, variance = acted(f, *charge(f, light, hot))
@@ -148,12 +147,13 @@ def law(f, light, *, trapped=False, hot=False, dead=False):
 
 
 def distance(one, other):
-    """Of two laws: sqrt((difference of means)^2 + (difference of rms)^2), the largest."""
+    """Return the largest sqrt((difference of means)^2 + (difference of standard deviations)^2)."""
     return float(np.hypot(one[0] - other[0], one[1] - other[1]).max())
 
 
 def check_moments(sample, mean, variance, fourth):
-    """`fourth`: fourth central moment; standard error of a variance is sqrt((m4 - v^2) / n)."""
+    """Check mean and variance of a sample. With the fourth central moment `fourth`, the standard
+    error of a variance is sqrt((m4 - v^2) / n)."""
     sample = np.asarray(sample, float).ravel()
     assert abs(sample.mean() - mean) < 5 * np.sqrt(variance / sample.size) + 1e-12
     assert abs(sample.var() - variance) < 5 * np.sqrt((fourth - variance**2) / sample.size) + 1e-12

@@ -1,5 +1,5 @@
-"""A sensor with every effect at once, and the same for light that is photons already: what the
-tests of a sensor as a whole vary by `replace`."""
+"""A sensor with every effect at once, and the same for light given in photons, which tests of a
+whole sensor vary by `replace`."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
-"""Photographs of a sphere under distant lights, in plain NumPy: textbook shading with arccos, then
-electrons, gain and rounding. Independent of the library."""
+"""Photographs of a sphere under distant lights, in plain NumPy and independent of the library:
+textbook shading with arccos, then electrons, gain and rounding."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ INDEX = 1.5  # of refraction, of clear facets
 
 
 def light_directions(count, *, widest=60.0, seed=0):
-    """Unit vectors toward lights within `widest` degrees of the view."""
+    """Return unit vectors toward lights within `widest` degrees of the view."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(np.cos(np.radians(widest)), 1, count)
     azimuth = rng.uniform(0, 2 * np.pi, count)
@@ -20,7 +20,7 @@ def light_directions(count, *, widest=60.0, seed=0):
 
 
 def sphere_normals(size, radius):
-    """Normals (size, size, 3) of a centred sphere, NaN outside of its outline."""
+    """Return normals (size, size, 3) of a centred sphere, NaN outside its outline."""
     middle = (size - 1) / 2
     row, column = np.mgrid[0:size, 0:size]
     x, y = (column - middle) / radius, (middle - row) / radius
@@ -30,7 +30,8 @@ def sphere_normals(size, radius):
 
 
 def shade(normals, directions, model, diffuse, specular, shape):
-    """(lights, h, w): k_d n.l + k_s lobe where lit, 0 elsewhere and outside of the sphere."""
+    """Return k_d n.l + k_s lobe, (lights, h, w), where lit, and 0 elsewhere and outside the
+    sphere."""
     n_l = np.einsum("hwc,lc->lhw", normals, directions)
     mirrored_z = 2 * n_l * normals[..., 2] - directions[:, None, None, 2]
     angle = np.arccos(np.clip(mirrored_z, -1, 1))
@@ -50,7 +51,8 @@ def shade(normals, directions, model, diffuse, specular, shape):
 
 
 def _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape):
-    """f_r cos(theta_i) pixel by pixel, each turned so that its normal is +z, by `oracles.brdfs`."""
+    """Return f_r cos(theta_i) by `oracles.brdfs`, pixel by pixel, each rotated so that its normal
+    is +z."""
     k = {"kd": diffuse, "ks": specular}
     facets = {"alpha": (shape, shape), **k}
     reflect = {
@@ -78,19 +80,20 @@ def _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape):
 
 
 def shade_areas(size, radius, directions, *surface, parts=4):
-    """(lights, size, size): means of `shade` over parts x parts points within each pixel."""
+    """Return means of `shade` over parts x parts points in each pixel, (lights, size, size)."""
     shaded = shade(sphere_normals(parts * size, parts * radius), directions, *surface)
     return shaded.reshape(-1, size, parts, size, parts).mean(axis=(2, 4))
 
 
 def expose(rng, signal, *, gain, read_noise, black, clip):
-    """Digital numbers of a linear signal (DN): Poisson electrons, read noise, rounding, clips."""
+    """Return digital numbers of a linear signal (DN): Poisson electrons, read noise, rounding,
+    clipping."""
     electrons = rng.poisson(signal / gain) + read_noise * rng.standard_normal(signal.shape)
     return np.clip(np.round(black + gain * electrons), 0, clip)
 
 
 def write_rig(folder, frames, directions, intensity, *, radius, camera, held_out=None, extra=""):
-    """A folder of 16-bit PNGs with its rig.toml; frames: (lights, h, w[, 3])."""
+    """Write a folder of 16-bit PNGs with its rig.toml, for frames (lights, h, w[, 3])."""
     size = frames.shape[1]
     middle = (size - 1) / 2
     lines = ["[camera]", *(f"{key} = {value}" for key, value in camera.items())]

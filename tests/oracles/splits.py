@@ -1,4 +1,4 @@
-"""Curves of one stack from disjoint parts of it: how they differ, in their stated errors."""
+"""Compare curves from disjoint parts of one stack with their stated errors."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ Parts = tuple[np.ndarray, np.ndarray]
 
 
 def halves(shape: tuple[int, int]) -> Iterator[Parts]:
-    """Masks of left and right, top and bottom, and two checkerboards."""
+    """Yield masks of left and right, top and bottom, and two checkerboards."""
     rows, columns = np.indices(shape)
     for square in (shape[0] // 2, shape[0] // 6, 8):
         first = (rows // square + columns // square) % 2 == 0
@@ -25,15 +25,15 @@ def halves(shape: tuple[int, int]) -> Iterator[Parts]:
 def fitted(
     codes: np.ndarray, mask: np.ndarray, times: np.ndarray, *, black: float, clip: float
 ) -> ResponseCurve:
-    """The curve of 8-bit codes (exposures, h, w) under a mask."""
+    """Return the curve of 8-bit codes (exposures, h, w) under a mask."""
     layout = layout_of(codes, mask, black=black, clip=clip)
     codes = clear_of_clipping(codes, clip, mask=mask)
     return fit_response_curve(codes[:, mask], times, bits=8, black=black, clip=clip, layout=layout)
 
 
 def apart(one: ResponseCurve, other: ResponseCurve) -> tuple[np.ndarray, np.ndarray]:
-    """Differences of two curves at the codes both saw, mid-scale aside where both are 0: in
-    standard errors, and whether they lie within the 95 % bands of both."""
+    """Compare two curves at the codes seen in both, except mid-scale, where both are 0. Return the
+    differences in standard errors, and whether they are within both 95 % intervals."""
     seen = one.seen & other.seen & (one.log_exposure != other.log_exposure)
     gap = (one.log_exposure - other.log_exposure)[seen]
     error = np.hypot(one.standard_error, other.standard_error)[seen]
@@ -44,8 +44,8 @@ def apart(one: ResponseCurve, other: ResponseCurve) -> tuple[np.ndarray, np.ndar
 def split_tests(
     codes: np.ndarray, mask: np.ndarray, times: np.ndarray, *, black: float, clip: float
 ) -> tuple[float, float]:
-    """(rms z, share of codes within their bands) over halves, checkerboards and, from eight on,
-    even and odd exposures."""
+    """Return (rms z, share of codes within their intervals) over halves, checkerboards and, for
+    eight exposures and more, even and odd ones."""
     scores, inside = [], []
     known = {"black": black, "clip": clip}
     pairs = [

@@ -1,5 +1,5 @@
-"""Exposure stacks simulated in NumPy, SciPy and Pillow alone: Poisson electrons, read noise,
-clipping, a response curve, rounding, and photographs with what goes wrong in them."""
+"""Exposure stacks simulated by NumPy, SciPy and Pillow: Poisson electrons, read noise, clipping, a
+response curve and rounding, and photographs with typical faults."""
 
 import io
 from collections.abc import Callable
@@ -12,18 +12,18 @@ Response = Callable[[np.ndarray], np.ndarray]
 
 
 def srgb(x: np.ndarray) -> np.ndarray:
-    """The sRGB encoding of linear values in 0..1."""
+    """Return the sRGB encoding of linear values in 0..1."""
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def s_shaped(x: np.ndarray) -> np.ndarray:
-    """A film-like curve: gamma 2.2 with a soft toe and shoulder."""
+    """Return a film-like curve: gamma 2.2 with a soft toe and shoulder."""
     u = x ** (1 / 2.2)
     return 0.4 * (3 * u**2 - 2 * u**3) + 0.6 * u
 
 
 def gamma(exponent: float) -> Response:
-    """x^(1 / exponent)."""
+    """Return x^(1 / exponent)."""
     return lambda x: x ** (1 / exponent)
 
 
@@ -39,7 +39,7 @@ def exposure_stack(
     bits: int = 8,
     pedestal: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(irradiances (pixels,), codes uint16 (exposures, pixels)) of a log-uniform scene; unit
+    """Return (irradiances (pixels,), codes uint16 (exposures, pixels)) of a log-uniform scene. Unit
     exposure fills the well."""
     irradiance = np.exp(rng.uniform(np.log(0.004), np.log(3), pixels))
     frames = []
@@ -51,7 +51,7 @@ def exposure_stack(
 
 
 def log_exposures(response: Response, codes: np.ndarray, *, bits: int = 8) -> np.ndarray:
-    """True ln exposure of codes, by inverting the response on a fine grid."""
+    """Return the true ln exposure of codes, by inverting the response on a fine grid."""
     x = np.concatenate([np.geomspace(1e-9, 1e-3, 100_001), np.linspace(1e-3, 1, 200_001)[1:]])
     return np.log(np.interp(codes / (2**bits - 1), response(x), x))
 
@@ -69,8 +69,8 @@ def jpeg_stack(
     full_well: float = 20_000.0,
     read_noise: float = 4.0,
 ) -> np.ndarray:
-    """Codes uint16 (exposures, h, w) of one scene by hand-held JPEG photographs: each is shifted by
-    up to `shift` pixels, has a shutter error of its own, and leaves that moved."""
+    """Return codes, uint16 (exposures, h, w), of one scene in hand-held JPEG photographs. Each is
+    shifted by up to `shift` pixels, and has its own shutter error and moving leaves."""
     (h, w), rim = shape, 8
     scene = _scene(rng, h + 2 * rim, w + 2 * rim)
     corners = rng.integers(0, [h - 20, w - 20], (leaves, 2)) + rim
@@ -103,9 +103,9 @@ def processed_stack(
     full_well: float = 20_000.0,
     read_noise: float = 4.0,
 ) -> np.ndarray:
-    """Codes uint16 (exposures, h, w) of one scene by a camera that blurs its picture after it has
-    clipped, by a Gaussian of so many pixels, and sharpens what it writes, by so much of the
-    difference to a Gaussian of one pixel."""
+    """Return codes, uint16 (exposures, h, w), of one scene from a camera that blurs after clipping,
+    by a Gaussian of this many pixels, and sharpens the result, by this share of the difference to a
+    Gaussian of one pixel."""
     scene, frames = _scene(rng, *shape), []
     for t in times:
         electrons = rng.poisson(np.clip(scene * t, 0, 50) * full_well)
@@ -118,8 +118,8 @@ def processed_stack(
 
 
 def _scene(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
-    """Light of a scene over some three decades: texture whose spectrum falls as 1 / f, and 20
-    rectangles, as a lens blurs them."""
+    """Return the light of a scene over about three decades: texture with a 1 / f spectrum and 20
+    rectangles, blurred as by a lens."""
     frequency = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
     frequency[0, 0] = 1
     log_light = np.fft.ifft2(np.fft.fft2(rng.normal(size=(h, w))) / frequency**1.1).real

@@ -1,5 +1,5 @@
-"""What is None leaves nothing behind: the primitives of a traced program, counted, effect by
-effect: of the sensor, the lens, shadows, motion and development."""
+"""Tests that an effect that is None leaves nothing in the traced program, by counting primitives,
+for effects of sensor, lens, shadows, motion and development."""
 
 from collections import Counter
 from dataclasses import replace
@@ -22,7 +22,7 @@ from jaxvision.shot import capture
 
 KEY, DIE = jax.random.split(jax.random.key(8))
 LIGHT = np.full((6, 8, 3), 1e-3)
-# Where the program of an effect holds what no other effect's does.
+# Primitives that only the program of this effect contains.
 SIGNATURES = {
     "smear": "reduce_sum",
     "blooming": "scan",
@@ -66,7 +66,7 @@ def shot(sensor):
     )
 
 
-def test_a_sensor_without_effects_is_no_program_at_all():
+def test_a_sensor_without_effects_is_an_empty_program():
     assert shot(s.Sensor()) == Counter()
 
 
@@ -80,23 +80,23 @@ EFFECTS = [name for name, value in vars(EVERY_EFFECT).items() if value is not No
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("effect", [name for name in EFFECTS if name != "full_well"])
-def test_a_source_that_is_none_takes_its_primitives_with_it(effect, with_all):
-    """Of all effects at once: without one there is nothing new, and less of something."""
+def test_removing_a_source_removes_its_primitives(effect, with_all):
+    """One of all effects is removed: nothing is added, and fewer primitives remain."""
     without = shot(replace(EVERY_EFFECT, **{effect: None}))
-    cut = Counter(["min"]) if effect == "blooming" else Counter()  # a well that only ends
+    cut = Counter(["min"]) if effect == "blooming" else Counter()  # a well without blooming clips
     assert without - cut <= with_all
     assert without != with_all
     if effect in SIGNATURES:
-        rest = 1 if effect == "blooming" else 0  # the loop in which charges repel each other
+        rest = 1 if effect == "blooming" else 0  # the loop of the brighter-fatter effect
         assert with_all[SIGNATURES[effect]] > without[SIGNATURES[effect]] == rest
     needed = {"full_well": EVERY_EFFECT.full_well} if effect == "blooming" else {}
     alone = shot(s.Sensor(**{effect: getattr(EVERY_EFFECT, effect)}, **needed))
     assert alone
-    assert (alone["xor"] > 0) == (effect in DRAWN)  # of the hash
+    assert (alone["xor"] > 0) == (effect in DRAWN)  # of the random number hash
 
 
 @pytest.mark.slow
-def test_parts_of_a_lens_that_are_none_are_not_traced():
+def test_absent_parts_of_a_lens_are_not_traced():
     def light(view):
         return primitives(optics.sensor_irradiance, view, jnp.ones((6, 8, 3)))
 
@@ -111,20 +111,20 @@ def test_parts_of_a_lens_that_are_none_are_not_traced():
         )
         assert bare <= alone
         assert bare != alone
-    # nothing but the law: no iteration, no transform, no convolution
+    # only the formula: no iteration, no transform, no convolution
     assert not set(bare) & {"while", "scan", "fft", "conv_general_dilated", "cos", "sin"}
 
 
 DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
 VIEW = s.Orthographic([0, 0, 3], DOWN, 0.2, resolution=(4, 4))
 FLOOR = s.Surface(s.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.25]))
-# more than are unrolled: a search among them is a loop of its own
+# more than are unrolled, so that a search among them is a loop
 BALLS = [s.Surface(s.Sphere([0.1 * i, 0, 0.3], 0.05), jv.Lambert([0.2])) for i in range(20)]
 SCENE = s.Scene([FLOOR, *BALLS], jv.PointLight([1, 0.5, 4.0], [8.0]))
 
 
-def test_without_occluders_nothing_is_searched_for_shadows():
-    """One loop over the shapes fewer: what is left of them is the search of what a ray hits."""
+def test_without_occluders_there_is_no_shadow_search():
+    """There is one loop fewer over the shapes: the remaining one searches for what a ray hits."""
     shaded = primitives(render, SCENE, VIEW)
     without = primitives(render, replace(SCENE, occluders=()), VIEW)
     assert shaded["scan"] == without["scan"] + 1
@@ -132,13 +132,13 @@ def test_without_occluders_nothing_is_searched_for_shadows():
 
 
 def test_without_lobes_there_is_no_power():
-    """Lambert's law needs no exponential; a lobe does."""
+    """Lambert's law needs no exponential, but a lobe does."""
     assert not set(primitives(render, SCENE, VIEW)) & {"exp", "exp2", "log", "log2", "pow"}
 
 
 @pytest.mark.slow
-def test_without_motion_no_moment_is_looped_over():
-    """A shutter without motion is not asked; a motion loops over its moments once."""
+def test_without_motion_there_is_no_loop_over_moments():
+    """A shutter without motion has no effect, and a motion has one loop over its moments."""
     sensor = s.Sensor(exposure_time=0.01, shutter=s.RollingShutter(1e-4))
     few = replace(SCENE, surfaces=(FLOOR,))
 
@@ -166,7 +166,7 @@ STEPS = s.Development(
 
 
 @pytest.mark.slow
-def test_a_step_of_development_that_is_none_takes_its_primitives_with_it():
+def test_removing_a_step_of_development_removes_its_primitives():
     image = jnp.ones((8, 8, 3))
     whole = primitives(lambda x: develop(x, STEPS), image)
     for name in vars(STEPS):

@@ -1,5 +1,5 @@
-"""What an accelerator is given: public JAX, many rays and several samples at once. Here a processor
-computes it, where there is no other, and finds what it finds in its own way."""
+"""Tests the programs for accelerators: public JAX, many rays and several samples at once. Here a
+CPU runs them, and the results must equal those of the CPU programs."""
 
 import re
 
@@ -14,7 +14,7 @@ from jaxvision.core._loops import fusion
 from jaxvision.transport import light_traced
 
 KEY = jax.random.key(0)
-SPECIAL = {"fuse", "one_step", "jaxvision_correlate"}  # primitives that serve a processor
+SPECIAL = {"fuse", "one_step", "jaxvision_correlate"}  # primitives for CPUs only
 
 
 def scene():
@@ -74,18 +74,18 @@ LONG = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compute", [paths, filtered, *LONG])
-def test_an_accelerator_finds_the_same(compute, monkeypatch):
+def test_an_accelerators_program_gives_the_same(compute, monkeypatch):
     apart = 1e-12 if jax.default_backend() == "cpu" else 1e-9
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     jax.clear_caches()
-    with jax.default_device(jax.devices("cpu")[0]):  # which stands above what JAX found
+    with jax.default_device(jax.devices("cpu")[0]):  # overrides the device found by JAX
         ours = compute(scene(), view())
         program = str(jax.make_jaxpr(compute)(scene(), view()))
     assert fusion.PLAIN or any(name in program for name in SPECIAL)
     other = compute(scene(), view())
     program = str(jax.make_jaxpr(compute)(scene(), view()))
     jax.clear_caches()
-    # a sum by transforms has its own derivative everywhere, for its loop over magnitudes has none
+    # a sum by transforms defines its own derivative, because its loop over magnitudes has none
     program = re.sub(r"jaxvision_correlate\[[^\]]*method=fft\s*\]", "", program)
     assert not any(name in program for name in SPECIAL)
     for one, two in zip(jax.tree.leaves(ours), jax.tree.leaves(other), strict=True):

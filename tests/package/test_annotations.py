@@ -1,7 +1,6 @@
-"""Shapes and types as annotated, checked by beartype in a process of its own: there every public
-function of numbers is traced with its example. Elsewhere the checks would cost a fifth of the time
-of all tests; `pytest --jaxtyping-packages=jaxvision,fitting,beartype.beartype` turns them on.
-"""
+"""Tests annotated shapes and types with beartype in a separate process, where every public function
+of numbers is traced with its example. In all tests the checks would cost a fifth of the time;
+`pytest --jaxtyping-packages=jaxvision,fitting,beartype.beartype` enables them."""
 
 import os
 import subprocess

@@ -1,8 +1,7 @@
-"""One sweep over the public API, discovered, not listed: eager == jit, vmap == loop, gradients
-finite and equal to the directional finite difference.
+"""Tests the whole public API, which is discovered and not listed: eager equals jit, vmap equals a
+loop, and gradients are finite and equal directional finite differences.
 
-A new public function of numbers needs one line in `examples/`; without it the sweep fails.
-"""
+A new public function of numbers needs one entry in `examples/`, without which a test fails."""
 
 from functools import partial
 
@@ -27,23 +26,23 @@ def is_float(leaf):
 
 
 def direction(x):
-    """A fixed direction of change, in proportion to each number."""
+    """Return a fixed direction of change, proportional to each number."""
     x = np.asarray(x)
     return x * np.cos(np.arange(x.size, dtype=x.dtype)).reshape(x.shape)
 
 
 def shifted(tree, step):
-    """Every number of a tree moved by `step` along `direction`."""
+    """Return a tree with every number moved by `step` along `direction`."""
     return jax.tree.map(lambda x: np.asarray(x) + step * direction(x) if is_float(x) else x, tree)
 
 
 def stacked(*leaves):
-    """In NumPy, which compiles nothing, but for random keys."""
+    """Stack leaves in NumPy, which compiles nothing, except random keys."""
     return (jnp if jnp.issubdtype(leaves[0].dtype, jax.dtypes.prng_key) else np).stack(leaves)
 
 
 def total(tree):
-    """The sum of all numbers in a result."""
+    """Return the sum of all numbers in a result."""
     return sum((x.sum() for x in jax.tree.leaves(tree) if is_float(x)), jnp.zeros(()))
 
 
@@ -58,13 +57,14 @@ STEP = 1e-6
 
 
 def points(arguments):
-    """A call's arguments, and the same moved aside, a step ahead and a step behind, stacked."""
+    """Return a call's arguments, stacked with the same at another point, a step ahead and a step
+    behind."""
     moved = (shifted(arguments, step) for step in (0, 1e-3, STEP, -STEP))
     return jax.tree.map(stacked, *moved)
 
 
 def measured(function, batch):
-    """(value, gradient) of `function` at each of the points, side by side in one program."""
+    """Return (value, gradient) of `function` at each of the points, in one program."""
     leaves, structure = jax.tree.flatten(batch)
     numbers = [i for i, x in enumerate(leaves) if is_float(x)]
 
@@ -87,8 +87,8 @@ def lane(tree, i):
 
 
 def compare(function, batch, lanes):
-    """The assertions on one function: two lanes of its program against plain calls, each by itself
-    and not compiled, and the gradient of the first against the two others."""
+    """Check one function: two lanes of its program equal plain calls without compilation, and the
+    gradient of the first equals the difference of the two others."""
     structure = jax.tree.structure(batch)
     for i in (0, 1):
         alone = jax.tree.unflatten(structure, [jnp.asarray(x[i]) for x in jax.tree.leaves(batch)])
@@ -100,13 +100,13 @@ def compare(function, batch, lanes):
     pairs = zip(lane(lanes[1], 0), numbers, strict=True)
     slope = sum(float(np.vdot(g, direction(x))) for g, x in pairs)
     difference = (above - below) / (2 * STEP)
-    # central difference: truncation h^2, rounding eps / h of the value
+    # central difference: truncation error h^2, and rounding error eps / h of the value
     tolerance = 1e-6 * abs(slope) + 1e-8 * abs(above) + 1e-12
     assert abs(difference - slope) <= tolerance, f"finite difference {difference}, slope {slope}"
 
 
 def faults(calls):
-    """What is wrong with each function, by name."""
+    """Return the faults of each function by name."""
     known, wrong = traced(), {}
     for name, (arguments, options) in calls.items():
         function = partial(known[name], **options)
@@ -122,7 +122,7 @@ def report(wrong):
     return "\n".join(f"{name}: {type(e).__name__}: {e}" for name, e in wrong.items())
 
 
-STRIDE = 20  # of a room the default run sweeps each twentieth function, `.ci/nightly` all
+STRIDE = 20  # the default run tests one in twenty functions of a module
 
 
 def swept(room, *, stride=1):

@@ -1,4 +1,4 @@
-"""The imports, read from the source: light goes one way, and `import jaxvision` stays light."""
+"""Tests imports, read from the source: dependencies go one way, and `import jaxvision` is fast."""
 
 import ast
 import importlib
@@ -13,8 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-# A room may import only from lower floors; rooms on one floor never import each other. A module or
-# folder of `jaxvision` that is not named here is an error.
+# A module may import only from lower floors, and modules on one floor never import each other. A
+# module or folder of `jaxvision` that is not listed here is an error.
 FLOORS = [
     {"_textbook"},
     {"errors", "programs"},
@@ -31,7 +31,7 @@ FLOORS = [
     {"cli"},
     {"__main__"},
 ]
-# Of `jaxvision`: no light, surface or camera.
+# The part of `jaxvision` without lights, surfaces and cameras.
 KNOWN_TO_INFERENCE = {
     "jaxvision.errors",
     "jaxvision.programs",
@@ -75,7 +75,7 @@ NEVER_ON_IMPORT = [
 
 
 def running(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
-    """The statements, and those within them, but what only a type checker reads."""
+    """Yield the statements, including nested ones, except those for type checkers only."""
     for node in nodes:
         yield node
         parts = ["body", "orelse", "handlers", "finalbody", "cases"]
@@ -88,7 +88,8 @@ def running(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
 
 @cache
 def imports(file: Path) -> set[str]:
-    """Absolute dotted names that a file imports when it runs, relative ones resolved."""
+    """Return the absolute dotted names that a file imports when it runs, with relative ones
+    resolved."""
     package = list(file.relative_to(ROOT).parent.parts)
     found = set()
     for node in running(ast.parse(file.read_text()).body):
@@ -103,7 +104,7 @@ def imports(file: Path) -> set[str]:
 
 @cache
 def offered(package: str) -> dict[str, str]:
-    """The module in which each name that a package offers is defined, from its stub."""
+    """Return the module that defines each name exported by a package, from its stub."""
     stub = ROOT / package / "__init__.pyi"
     nodes = [node for node in ast.parse(stub.read_text()).body if isinstance(node, ast.ImportFrom)]
     return {
@@ -115,7 +116,7 @@ def offered(package: str) -> dict[str, str]:
 
 
 def where_defined(name: str) -> str:
-    """`jaxvision.render` is `jaxvision.rendering.direct.render`."""
+    """Return the full name: `jaxvision.render` is `jaxvision.rendering.direct.render`."""
     package, _, rest = name.partition(".")
     if package not in ("jaxvision", "fitting") or rest not in offered(package):
         return name
@@ -124,7 +125,8 @@ def where_defined(name: str) -> str:
 
 @cache
 def files_of_rooms(package: str) -> dict[str, list[Path]]:
-    """The files of each top-level module of a package (a sub-package counts as one)."""
+    """Return the files of each top-level module of a package. A sub-package counts as one
+    module."""
     found: dict[str, list[Path]] = {}
     for file in sorted((ROOT / package).rglob("*.py")):
         parts = file.relative_to(ROOT / package).with_suffix("").parts
@@ -135,7 +137,7 @@ def files_of_rooms(package: str) -> dict[str, list[Path]]:
 
 @cache
 def rooms(package: str) -> dict[str, set[str]]:
-    """What each room imports, by where it is defined."""
+    """Return the imports of each module, by where the names are defined."""
     return {
         room: {where_defined(name) for file in files for name in imports(file)}
         for room, files in files_of_rooms(package).items()
@@ -143,7 +145,7 @@ def rooms(package: str) -> dict[str, set[str]]:
 
 
 def neighbours(package: str) -> dict[str, set[str]]:
-    """The rooms of the same package that each room imports."""
+    """Return the modules of the same package that each module imports."""
     plan = rooms(package)
     return {
         room: {
@@ -159,8 +161,8 @@ def outside(names: set[str]) -> set[str]:
     return {name.split(".")[0] for name in names}
 
 
-def test_the_reader_of_imports_reads():
-    """A check that cannot fail is a defect: three imports that are known to be there."""
+def test_the_reader_of_imports_finds_known_ones():
+    """Three imports that are known to exist must be found."""
     plan = neighbours("jaxvision")
     assert where_defined("jaxvision.render").startswith("jaxvision.rendering.")
     assert {"geometry", "scene", "core"} <= plan["brdf"]
@@ -169,7 +171,7 @@ def test_the_reader_of_imports_reads():
 
 
 @pytest.mark.parametrize("room", sorted(files_of_rooms("jaxvision")))
-def test_light_goes_one_way(room):
+def test_dependencies_go_one_way(room):
     floor = {name: i for i, names in enumerate(FLOORS) for name in names}
     assert room in floor, f"give jaxvision/{room} its floor in {__name__}"
     wrong = {other for other in neighbours("jaxvision")[room] if floor[other] >= floor[room]}
@@ -177,7 +179,7 @@ def test_light_goes_one_way(room):
 
 
 def _kinds() -> tuple[set[str], set[str]]:
-    """The modules that register a light or a material, and the records that they define."""
+    """Return the modules that register a light or a material, and the records that they define."""
     modules, records = set(), set()
     for file in [
         *(ROOT / "jaxvision/lights").glob("*.py"),
@@ -203,8 +205,9 @@ def _kinds() -> tuple[set[str], set[str]]:
         "files/materials.py",
     ],
 )
-def test_what_serves_every_kind_imports_none(place):
-    """Effects and file readers ask the registries: a kind brings its bound and its keys itself."""
+def test_modules_for_all_types_import_no_single_type(place):
+    """Effects and file readers ask the registries, because each type brings its own bound and
+    keys."""
     modules, records = _kinds()
     assert {"jaxvision.lights.point", "jaxvision.brdf.phong", "jaxvision.brdf.measured"} <= modules
     path = ROOT / "jaxvision" / place
@@ -218,7 +221,7 @@ def test_what_serves_every_kind_imports_none(place):
     assert not taken, f"jaxvision/{place} must ask the registry instead of {sorted(taken)}"
 
 
-def test_scene_holds_records_only():
+def test_scene_contains_only_records():
     taken = {name for name in rooms("jaxvision")["scene"] if name.startswith("jaxvision.core.")}
     modules = ("_maps", "_shown", "_types", "_warnings", "lazy_names")
     known = {f"jaxvision.core.{module}" for module in modules}
@@ -232,16 +235,16 @@ def test_scene_holds_records_only():
 
 
 @pytest.mark.parametrize("room", sorted(files_of_rooms("jaxvision")))
-def test_jaxvision_knows_no_solver(room):
+def test_jaxvision_imports_no_solver(room):
     assert not outside(rooms("jaxvision")[room]) & NEVER_IN_JAXVISION
 
 
-OWN_LOOPS = {  # of jax.lax itself, which jaxlib 0.12 compiles for one core
+OWN_LOOPS = {  # direct loops of jax.lax, which jaxlib 0.12 compiles for one core
     "jaxvision/core/parallel_loops.py",
-    "jaxvision/accuracy/rounding.py",  # loops of the program that it evaluates
-    "fitting/inference/newton.py",  # calls LAPACK at each step, so that XLA leaves it out
+    "jaxvision/accuracy/rounding.py",  # loops of the evaluated program
+    "fitting/inference/newton.py",  # calls LAPACK in each step, which XLA does not parallelise
     "fitting/inference/nuts.py",  # around the loops of blackjax
-    "fitting/inference/separable.py",  # of a few numbers
+    "fitting/inference/separable.py",  # over a few numbers
 }
 
 
@@ -276,15 +279,15 @@ def test_the_stages_of_a_calibration_follow_each_other(folder):
         assert not wrong, f"{package}.{stage} must not import {sorted(wrong)}"
 
 
-def test_inference_knows_no_physics_and_no_calibration():
+def test_inference_imports_no_physics_and_no_calibration():
     assert not neighbours("fitting")["inference"]
     files = (ROOT / "jaxvision").rglob("*.py")
     modules = {".".join(file.relative_to(ROOT).with_suffix("").parts) for file in files}
     assert rooms("fitting")["inference"] & modules == KNOWN_TO_INFERENCE
 
 
-def test_images_and_measured_files_are_two_calibrations():
-    """The calibrations of one folder use what they share there, not each other."""
+def test_image_and_file_calibrations_are_independent():
+    """Calibrations in one folder use shared modules, but not each other."""
     for one, other in [("from_files", "from_images"), ("from_images", "from_files")]:
         for file in (ROOT / "fitting" / "reflectance" / one).glob("*.py"):
             taken = {name for name in imports(file) if f"reflectance.{other}" in name}
@@ -305,7 +308,7 @@ def test_no_cycles(package):
 
 @pytest.mark.parametrize("package", ["jaxvision", "fitting"])
 def test_no_function_hides_a_module(package):
-    """`import jaxvision.shot as s` gives the module, whatever the rooms around it export."""
+    """`import jaxvision.shot as s` gives the module, whatever the packages around it export."""
     hidden = []
     for file in sorted((ROOT / package).rglob("*.py")):
         *above, name = file.relative_to(ROOT).with_suffix("").parts
@@ -317,7 +320,7 @@ def test_no_function_hides_a_module(package):
 
 
 def borrowed(package: str) -> set[str]:
-    """The private names that rooms import of other rooms."""
+    """Return the private names that modules import from other modules."""
     found = set()
     for room, files in files_of_rooms(package).items():
         for name in set[str]().union(*map(imports, files)):
@@ -331,7 +334,7 @@ def borrowed(package: str) -> set[str]:
     return found
 
 
-# Private names that are imported from outside their room so far: the list only shrinks.
+# Private names imported from other modules so far. The list may only shrink.
 BORROWED = {
     "jaxvision": set(),
     "fitting": set(),
@@ -339,12 +342,12 @@ BORROWED = {
 
 
 @pytest.mark.parametrize("package", ["jaxvision", "fitting"])
-def test_private_names_stay_in_their_room(package):
+def test_private_names_stay_in_their_module(package):
     assert borrowed(package) <= BORROWED[package]
 
 
 def loaded_by(program: str) -> tuple[set[str], str]:
-    """The modules that a fresh process has loaded when a program ends, and its standard error."""
+    """Return the modules loaded in a new process when a program ends, and its standard error."""
     listing = "import atexit, sys; atexit.register(lambda: print('\\nLOADED', *sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", f"{listing}\n{program}"], cwd=ROOT, capture_output=True, text=True
@@ -353,7 +356,7 @@ def loaded_by(program: str) -> tuple[set[str], str]:
     return {name.split(".")[0] for name in modules}, done.stderr
 
 
-OF_TYPER = {"pydantic"}  # for options that are given
+OF_TYPER = {"pydantic"}  # loaded for given options
 
 
 @pytest.mark.sweep
@@ -372,7 +375,7 @@ OF_TYPER = {"pydantic"}  # for options that are given
         ("fitting", ["brdf", "--help"], OF_TYPER),
     ],
 )
-def test_help_and_a_wrong_path_load_no_library_that_computes(command, arguments, allowed):
+def test_help_and_a_wrong_path_load_no_numerical_library(command, arguments, allowed):
     loaded, stderr = loaded_by(f"from {command}.cli import app; app({arguments})")
     assert "jaxvision" in loaded, stderr
     assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT} - allowed
@@ -386,7 +389,7 @@ def test_the_names_of_a_package_load_nothing(package, name):
 
 
 def test_names_load_when_first_used_also_in_a_trace():
-    """`import jaxvision` first, any name later."""
+    """`import jaxvision` comes first, and any name is used later."""
     loaded, stderr = loaded_by(
         "import sys, jax, jaxvision\n"
         "def f(x):\n"

@@ -1,5 +1,5 @@
-"""What a caller may pass to public functions: plain numbers and lists are as good as arrays, and
-misuse that is visible has one sentence."""
+"""Tests arguments of public functions: plain numbers and lists work like arrays, and visible misuse
+gives one sentence."""
 
 import dataclasses
 from functools import partial
@@ -26,7 +26,7 @@ THREE_NORMALS = np.eye(3)
 
 
 def as_lists(argument):
-    """A floating array as a user types it; anything else as it is."""
+    """Return a floating-point array as lists, as a user types it, and other arguments unchanged."""
     is_array = isinstance(argument, np.ndarray | jax.Array)
     if is_array and jnp.issubdtype(argument.dtype, jnp.floating):
         return np.asarray(argument).tolist()
@@ -34,7 +34,7 @@ def as_lists(argument):
 
 
 def as_known(tree):
-    """Arrays of JAX for those of NumPy: their methods are traced inside a trace."""
+    """Return NumPy arrays as JAX arrays, whose methods are traced inside a trace."""
     return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, np.ndarray) else x, tree)
 
 
@@ -47,12 +47,12 @@ def shapes(call):
     [
         (0, "0", "0"),
         (7, "7", "7"),
-        (np.int64(7), r"(np\.int64\()?7\)?", "7"),  # as NumPy prints it
+        (np.int64(7), r"(np\.int64\()?7\)?", "7"),  # as printed by NumPy
         (jnp.arange(3), r"int\d+ numbers of shape \(3,\)", "0"),
         ("seed", "'seed'", "0"),
     ],
 )
-def test_a_number_is_no_random_key(key, got, advice):
+def test_a_number_is_refused_as_a_random_key(key, got, advice):
     said = rf"key must be a random key, got {got}; write jax.random.key\({advice}\)."
     light, noise = jnp.ones((2, 2, 1)), jv.PoissonShotNoise()
     sensor = jv.Sensor(quantum_efficiency=[1.0], exposure_time=1.0, shot_noise=noise)
@@ -65,7 +65,7 @@ def test_a_number_is_no_random_key(key, got, advice):
             record(key, 4)
 
 
-def test_keys_of_every_kind_are_keys():
+def test_keys_of_every_type_are_accepted():
     for key in (jax.random.key(0), jax.random.PRNGKey(0), jax.random.key(0, impl="rbg")):
         assert jv.MonteCarlo(key, 4).key is key
         jax.jit(lambda key: jv.Balanced(key, 4).key)(key)
@@ -76,7 +76,8 @@ def test_keys_of_every_kind_are_keys():
 @pytest.mark.sweep("geometry", "brdf")
 @pytest.mark.parametrize("room", ROOMS)
 def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
-    """Traced, not compiled: shapes and dtypes of the results are those that arrays give."""
+    """The functions are traced, not compiled. Shapes and dtypes of the results equal those for
+    arrays."""
     known = doors()
     for name, (arguments, options) in examples_of(room).items():
         if name not in known:
@@ -91,7 +92,7 @@ def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
 
 
 def records_in(value):
-    """A record and the records in its fields; those of a list."""
+    """Yield a record, the records in its fields, and those in a list."""
     if isinstance(value, eqx.Module):
         yield value
         value = [getattr(value, field.name, None) for field in dataclasses.fields(value)]
@@ -102,7 +103,7 @@ def records_in(value):
 
 @pytest.mark.sweep(*sorted(set(ROOMS) - {"radiosity", "transport", "lights", "sensor", "optics"}))
 @pytest.mark.parametrize("room", ROOMS)
-def test_checks_of_known_numbers_stand_inside_a_trace(room):
+def test_known_numbers_are_checked_inside_a_trace(room):
     """A fit's `predict` calls functions and makes records of known numbers inside a trace."""
     known, records, wrong = doors(), {}, []
     for name, (arguments, options) in examples_of(room).items():
@@ -124,20 +125,20 @@ def refuses_in_a_trace(call):
     return False
 
 
-def test_numbers_take_the_dtype_beside_them():
+def test_plain_numbers_take_the_dtype_of_arrays():
     half = jnp.asarray(0.5, jnp.float32)
     assert jv.image_distance(half, 0.05).dtype == jnp.float32
     assert jv.image_distance(2, 0.05).dtype == jnp.float64
     assert jv.dot(np.ones(3, np.float32), jnp.ones(3, jnp.float32)).dtype == jnp.float32
 
 
-def test_lists_are_taken_beside_plain_numbers():
-    """Where a plain number stays one, as it may be no number of the dtype."""
+def test_lists_are_accepted_with_plain_numbers():
+    """A plain number may stay one if the dtype cannot represent it."""
     np.testing.assert_allclose(gain_bias([0.1, 0.2], [2, 3], 1), [1.2, 1.6])
     np.testing.assert_array_equal(jv.norm(np.full(3, 200, np.uint8)), np.sqrt(3 * 200.0**2))
 
 
-def test_whole_numbers_do_not_divide_silently():
+def test_integer_division_is_not_silent():
     found = jv.image_distance(jnp.asarray(3), jnp.asarray(2))
     assert float(found) == 6.0
 
@@ -426,8 +427,8 @@ def test_optional_arguments_without_their_names_are_named():
         jv.to_integers(np.ones(2), 8)  # pyright: ignore[reportCallIssue]
 
 
-def test_what_is_traced_is_not_looked_at():
-    """Inside a compiled function numbers are not known; shapes are."""
+def test_traced_values_are_not_checked():
+    """Inside a compiled function numbers are unknown, but shapes are known."""
     jax.eval_shape(lambda wo: jv.lambert_shading(wo, wo, jnp.ones(1)), jnp.full(3, 2.0))
     jax.eval_shape(lambda normal: jv.Plane(normal, normal), jnp.zeros(3))
     jax.eval_shape(lambda gamma: jv.gamma_decode(gamma, gamma), jnp.asarray(-1.0))
@@ -437,7 +438,7 @@ def test_what_is_traced_is_not_looked_at():
 
 
 def test_half_precision_counts_and_sums_in_float32():
-    """Half precision counts to 2048 one by one, and ends at 65504."""
+    """Half precision represents integers one by one up to 2048, and ends at 65504."""
     picture = jnp.linspace(0, 1, 4096).reshape(64, 64).astype(jnp.float16)
     as_single = picture.astype(jnp.float32)
     np.testing.assert_array_equal(equalise(picture), equalise(as_single))

@@ -1,8 +1,7 @@
-"""A second eager call of a public function, with other numbers, compiles nothing.
+"""Tests that a second eager call of a public function with other numbers compiles nothing.
 
-Programs are kept by function and shapes: a closure that is new at each call, a number that a
-program holds, or a setting that has no hash, is compiled again every time.
-"""
+Programs are stored by function and shapes. A closure that is new at each call, a number inside a
+program, or a setting without a hash would be compiled again every time."""
 
 import ast
 import contextlib
@@ -24,7 +23,7 @@ from jaxvision.scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
 from jaxvision.sensor import count, exposed, raw_image
 
 QUICK = {"compositing"}
-# One for each loop that many functions of a slow room share.
+# One function for each loop that many functions of a slow module share.
 QUICKLY = [
     ("measured", "brdf.rgl.sample"),
     ("optics", "optics.distortion.undistort"),
@@ -33,8 +32,8 @@ QUICKLY = [
     ("sensor", "sensor.nonlinearity.charge_of_signal"),
     ("sensor", "sensor.shutter.exposed"),
 ]
-OTHER = 1 - 2.0**-12  # times a number: directions stay unit, to what is checked
-# Rooms of the examples in docstrings; the others take longer.
+OTHER = 1 - 2.0**-12  # a factor for numbers: directions stay unit vectors
+# Modules whose examples in docstrings are run; others take longer.
 SAID = {*{name.split(".")[1] for name in functions(jaxvision)}} - {"cli", "accuracy", "files"}
 SAID_QUICKLY = {"geometry", "point_ops", "spectra"}
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -42,7 +41,7 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 
 @pytest.fixture
 def programs():
-    """The programs compiled so far, as a list that grows."""
+    """Yield a growing list of the programs compiled so far."""
     found = []
 
     def listen(event, seconds, **_):
@@ -55,8 +54,8 @@ def programs():
 
 
 def compiled_again(room: str, programs: list, chosen: str = "") -> dict[str, int]:
-    """How many programs the second call of each function of a room compiles, with other numbers
-    where it takes them: not where a sum or a matrix must be exact."""
+    """Return how many programs the second call of each function of a module compiles, with other
+    numbers except where a sum or a matrix must be exact."""
     again = {}
     for name, (arguments, options) in examples_of(room).items():
         if not name.startswith(chosen):
@@ -84,7 +83,8 @@ def _moved(leaf):
 
 
 class _Again(ast.NodeTransformer):
-    """An example whose lambdas are made once, and whose numbers are others the second time."""
+    """Rewrites an example so that its lambdas are made once, and its numbers differ in the second
+    run."""
 
     def __init__(self, times, is_second):
         self.times, self.is_second, self.count = times, is_second, 0
@@ -103,7 +103,7 @@ class _Again(ast.NodeTransformer):
 
 
 def compiled_by_examples(found: dict, programs: list, *, times: float) -> dict[str, int]:
-    """How many programs the examples of public functions compile that are executed once more."""
+    """Return how many programs a second run of the examples of public functions compiles."""
     again = {}
     for name, function in found.items():
         if any(part.startswith("_") for part in name.split(".")):
@@ -142,7 +142,8 @@ def test_an_example_with_other_numbers_compiles_nothing(room, programs, tmp_path
 
 @pytest.mark.slow
 def test_a_second_fit_compiles_nothing(programs, tmp_path, monkeypatch):
-    """With the same numbers: those of a prior and of a start are part of a problem's program."""
+    """The numbers are the same, because those of a prior and of a start are part of a problem's
+    program."""
     monkeypatch.chdir(tmp_path)
     assert not compiled_by_examples(functions(fitting), programs, times=1.0)
 
@@ -163,7 +164,7 @@ def test_a_shared_loop_is_compiled_once(room, function, programs):
 @pytest.mark.sweep
 @pytest.mark.parametrize("law", [PoissonShotNoise(), FastPoissonShotNoise()])
 def test_a_count_is_compiled_once(law, programs):
-    """In the examples' rooms the counts are Gaussian, without a loop."""
+    """In the examples counts are Gaussian, which needs no loop."""
     key, mean = jax.random.key(0), jax.numpy.full((5, 1, 1), 50.0)
     sensor = Sensor(quantum_efficiency=1.0, gain=1.0, bits=12, shot_noise=law)
 
@@ -176,8 +177,8 @@ def test_a_count_is_compiled_once(law, programs):
     assert len(programs) == before
 
 
-def test_a_loop_over_a_function_of_the_caller_follows_it():
-    """A program kept of it would show the light of the first call."""
+def test_a_loop_over_a_callers_function_is_not_stored():
+    """A stored program would give the light of the first call."""
     light = jax.numpy.ones((2, 1, 1))
 
     def picture_at(time):

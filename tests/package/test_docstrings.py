@@ -1,5 +1,6 @@
-"""Words of the public API: every name documented; options by keyword, `key` first; and in exported
-names a section for arguments and result, with units. The examples in docstrings are executed."""
+"""Tests the docstrings of the public API: every name has one, optional arguments are keywords,
+`key` comes first, and exported names have sections for arguments and result, with units. The
+examples in docstrings are executed."""
 
 import dataclasses
 import doctest
@@ -26,20 +27,20 @@ HEADING = r"^(Args|Attributes|Returns|Raises|Source|Example|Yields):"
 
 
 def exported(found):
-    """Those that a package names in its `__all__`."""
+    """Return the objects in the `__all__` of a package."""
     doors = [m for package in (jaxvision, fitting) for m in (package, *modules(package))]
     named = {id(getattr(m, n)) for m in doors for n in getattr(m, "__all__", ())}
     return {name: value for name, value in found.items() if id(value) in named}
 
 
 def sections(thing):
-    """{heading: text} of a docstring, the running text under ''."""
+    """Return {heading: text} of a docstring, with the text before headings under ''."""
     parts = re.split(HEADING, inspect.getdoc(thing) or "", flags=re.MULTILINE)
     return {"": parts[0]} | dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
 def entries(text):
-    """The names that a section explains: `name:` or `one, two:` at its least indent."""
+    """Return the names that a section explains: `name:` or `one, two:` at the smallest indent."""
     lines = [line for line in text.splitlines() if line.strip()]
     indent = min((len(line) - len(line.lstrip()) for line in lines), default=0)
     heads = (re.match(rf" {{{indent}}}([\w*, ]+?)(?: \([^)]*\))?:", line) for line in lines)
@@ -71,7 +72,7 @@ def report(found):
     return "\n".join(f"{name}: {fault}" for name, faults in found.items() for fault in faults)
 
 
-OPTIONAL_BY_PLACE = {"from_frames": ("photons",)}  # were required; callers give them by place
+OPTIONAL_BY_PLACE = {"from_frames": ("photons",)}  # once required; callers pass it by position
 
 
 def test_documented_with_optional_arguments_by_keyword_and_key_first():
@@ -112,7 +113,7 @@ def test_exported_records_explain_their_fields():
 
 
 def test_the_lines_of_one_entry_are_indented_below_its_name():
-    """At the indent of the names a line begins another entry of the site's table."""
+    """A line at the indent of the names starts a new entry in the site's table."""
     faults = []
     for name, thing in (*defined(jaxvision), *defined(fitting)):
         for heading in ("Args", "Attributes", "Raises"):
@@ -150,7 +151,7 @@ def test_everything_exported_exists_and_nothing_is_forgotten():
 
 
 def examples(package):
-    """The examples in all docstrings of a package."""
+    """Yield the examples in all docstrings of a package."""
     names = [name for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")]
     for name in (package.__name__, *names):
         module = importlib.import_module(name)
@@ -163,14 +164,14 @@ def examples(package):
 def failures(tests):
     runner, said = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE), []
     for test in tests:
-        with np.printoptions(legacy=False):  # colour-science sets 1.13 when it is imported
+        with np.printoptions(legacy=False):  # colour-science sets 1.13 when imported
             runner.run(test, out=said.append)
     return "".join(said)
 
 
 def test_every_name_at_a_root_has_an_example():
-    """Functions and classes; aliases of array types, which the package itself is said to define,
-    and rooms need none."""
+    """Functions and classes need one. Aliases of array types, which appear as defined by the
+    package itself, and modules do not."""
     without = [
         f"{package.__name__}.{name}"
         for package in (jaxvision, fitting)

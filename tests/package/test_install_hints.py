@@ -1,4 +1,4 @@
-"""What messages tell a user to install is this distribution, with an extra that it has."""
+"""Tests that messages tell users to install this distribution, with an existing extra."""
 
 import re
 import tomllib
@@ -16,7 +16,7 @@ def sources():
             yield file, file.read_text()
 
 
-def test_the_name_is_that_of_the_distribution():
+def test_the_name_is_the_distributions():
     assert PROJECT["name"] == DISTRIBUTION
     for extra, requirements in PROJECT["optional-dependencies"].items():
         own = [one for one in requirements if one.startswith("jaxvision")]

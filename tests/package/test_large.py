@@ -1,5 +1,6 @@
-"""Sums over a hundred million pixels, ten million observations, a million patches and a million
-steps of a chain: within rounding of the same sums in float64. Minutes each, and up to 7 GB."""
+"""Tests sums over a hundred million pixels, ten million observations, a million patches and a
+million steps of a chain: they equal the same sums in float64 up to rounding. Each test takes
+minutes and up to 7 GB."""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ EPS32 = 2.0**-23
 
 @pytest.fixture(scope="module")
 def picture():
-    """Dark as photographs are: 12 % of it in the first of 256 bins."""
+    """Return a picture as dark as photographs, with 12 % in the first of 256 bins."""
     return np.random.default_rng(1).beta(0.5, 3, (SIDE, SIDE)).astype(np.float32)
 
 
@@ -39,8 +40,8 @@ def test_counts_are_exact(picture):
     np.testing.assert_array_equal(np.asarray(found.counts).ravel(), expected)
 
 
-def test_soft_counts_are_those_of_pixels_dealt_out_one_by_one(picture):
-    """Triangles between the centres of bins, in float64."""
+def test_soft_counts_equal_a_count_pixel_by_pixel(picture):
+    """The reference weights triangles between the centres of bins, in float64."""
     bins = 64
     found = np.asarray(histogram.soft_histogram(picture, bins=bins).counts, np.float64).ravel()
     place = np.clip(picture.ravel().astype(np.float64) * bins - 0.5, 0, bins - 1)
@@ -57,7 +58,7 @@ def test_quantiles_lie_within_their_bin(picture):
     np.testing.assert_allclose(found, np.quantile(picture, shares), atol=1 / 4096)
 
 
-def test_codes_are_equalised_as_their_counts_say(codes):
+def test_codes_are_equalised_by_their_counts(codes):
     found = np.asarray(histogram.equalise(codes))
     counts = np.bincount(codes.ravel(), minlength=256)
     up_to, first = np.cumsum(counts), counts[counts > 0][0]
@@ -65,8 +66,8 @@ def test_codes_are_equalised_as_their_counts_say(codes):
     np.testing.assert_array_equal(found, table[codes])
 
 
-def test_windows_of_an_integral_image_keep_their_digits(picture):
-    """At its far corner, of 1e8 pixels the sum."""
+def test_windows_of_an_integral_image_are_accurate(picture):
+    """The windows are at the far corner, where the sum is over 1e8 pixels."""
     sums = jax.jit(lambda x: filters.window_sum(filters.integral_image(x), (5, 7))[-9:, -9:])
     expected = ndimage.uniform_filter(picture[-99:, -99:].astype(np.float64), (5, 7)) * 35
     np.testing.assert_allclose(sums(picture), expected[-11:-2, -12:-3], rtol=8 * EPS32)
@@ -79,7 +80,7 @@ def test_a_blur_is_the_same_far_from_the_first_pixel(picture):
         np.testing.assert_allclose(found[at, at][30:50, 30:50], few[30:50, 30:50], rtol=2 * EPS32)
 
 
-def test_means_of_all_pixels_are_those_in_float64(picture):
+def test_means_of_all_pixels_equal_float64(picture):
     colour = np.stack([picture, 0.5 * picture, picture**2], axis=-1)
     gains = np.asarray(development.grey_world_gains(colour), np.float64)
     means = colour.reshape(-1, 3).mean(axis=0, dtype=np.float64)
@@ -90,7 +91,7 @@ def test_means_of_all_pixels_are_those_in_float64(picture):
     np.testing.assert_allclose(found, 0.18 * lit[-1, -1] / middle, rtol=16 * EPS32)
 
 
-def test_a_mosaic_is_filled_in_as_its_parts_are(picture):
+def test_a_mosaic_is_demosaiced_like_its_parts(picture):
     found = development.demosaic(picture, "RGGB")
     for at in (slice(0, 80), slice(SIDE - 80, SIDE)):
         few = development.demosaic(picture[at, at], "RGGB")
@@ -98,7 +99,8 @@ def test_a_mosaic_is_filled_in_as_its_parts_are(picture):
 
 
 def test_a_frame_has_the_mean_and_the_variance_of_its_charge():
-    """Of Poisson electrons and Gaussian read noise, in digital numbers, at 5 standard errors."""
+    """The electrons are Poisson with Gaussian read noise, in digital numbers, compared within 5
+    standard errors."""
     sensor = jv.Sensor(
         quantum_efficiency=0.5,
         shot_noise=jv.PoissonShotNoise(),
@@ -114,12 +116,13 @@ def test_a_frame_has_the_mean_and_the_variance_of_its_charge():
     variance = 0.25**2 * (800 + 4.0**2) + 1 / 12
     found = raw.mean(dtype=np.float64), raw.var(dtype=np.float64)
     assert abs(found[0] - mean) < 5 * np.sqrt(variance) / SIDE
-    # Of a variance: sqrt(2) of itself over the root of the count, and the Poisson's fourth moment.
+    # The error of a variance is sqrt(2) of itself over the root of the count, plus the Poisson's
+    # fourth moment.
     assert abs(found[1] - variance) < 5 * np.sqrt(2.01) * variance / SIDE
 
 
-def test_a_fit_of_all_observations_is_weighted_least_squares():
-    """The closed form, by NumPy in float64; all of them at once."""
+def test_a_fit_of_all_observations_equals_weighted_least_squares():
+    """The reference is NumPy's closed form in float64, from all observations at once."""
     time = np.linspace(0.0, 3.0, MANY)
     values = 1 - 0.2 * time + 0.02 * np.random.default_rng(5).standard_normal(MANY)
     found = fit(
@@ -143,7 +146,7 @@ def test_a_fit_of_all_observations_is_weighted_least_squares():
 
 
 def test_rows_of_a_million_patches_sum_to_one():
-    """Of a cube seen from inside: all that leaves an element arrives."""
+    """In a cube seen from inside, all light that leaves an element arrives."""
     axes, grey, walls = np.eye(3), jv.Lambert([0.5 / np.pi]), []
     for k in range(3):
         u, v = axes[(k + 1) % 3], axes[(k + 2) % 3]
@@ -159,8 +162,8 @@ def test_rows_of_a_million_patches_sum_to_one():
     )
 
 
-def test_a_million_steps_say_how_much_they_know():
-    """Walkers of known memory: x' = r x + noise, of which tau = (1 + r) / (1 - r)."""
+def test_autocorrelation_times_of_a_million_steps():
+    """The walkers have a known memory, x' = r x + noise, where tau = (1 + r) / (1 - r)."""
     steps, walkers, kept = 1_000_000, 8, 0.9
     noise = np.random.default_rng(7).standard_normal((steps, walkers))
     chain = lfilter([np.sqrt(1 - kept**2)], [1, -kept], noise, axis=0)

@@ -1,4 +1,4 @@
-"""A name that a package lacks is answered by where it is, or by the nearest."""
+"""Tests that a name that a package lacks is answered by its location, or by the nearest name."""
 
 import pytest
 
@@ -28,7 +28,7 @@ import jaxvision
         ),
         (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.matting.over."),
         (
-            jaxvision,  # an internal function of `effects` has the same name
+            jaxvision,  # `effects` has an internal function of this name
             "dark_current",
             "jaxvision has no 'dark_current'; it is a field of jaxvision.Sensor.",
         ),
@@ -48,13 +48,13 @@ import jaxvision
         (fitting, "zzz", "fitting has no 'zzz'; dir(fitting) lists what it has."),
     ],
 )
-def test_a_name_that_is_not_there(package, name, said):
+def test_a_missing_name_is_answered_by_the_nearest(package, name, said):
     with pytest.raises(AttributeError) as caught:
-        package.__getattr__(name)  # a module may have been imported before
+        package.__getattr__(name)  # in case a module was imported before
     assert str(caught.value) == said
     assert not hasattr(package, f"_{name}")
 
 
-def test_an_import_of_it_says_so():
+def test_an_import_of_a_missing_name_is_answered():
     with pytest.raises(ImportError, match="cannot import name 'Sensr'"):
         from jaxvision import Sensr  # pyright: ignore # noqa: F401

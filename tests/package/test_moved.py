@@ -1,4 +1,5 @@
-"""Names that modules had before give the same modules, and say the new name."""
+"""Tests that former names of modules give the same modules, with a warning that gives the new
+name."""
 
 import importlib
 import pickle
@@ -74,7 +75,7 @@ def test_an_old_name_of_a_method_gives_its_result_and_says_the_new_one():
         assert Influence("gain", 1.0, 0.1, (moved,)).of("sensor.dark_current") is moved
 
 
-def test_what_lies_below_an_old_name_is_there_once():
+def test_a_submodule_of_an_old_name_is_loaded_once():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from jaxvision.measured_files import merl  # pyright: ignore
@@ -83,14 +84,14 @@ def test_what_lies_below_an_old_name_is_there_once():
     assert merl is same
 
 
-def test_an_import_of_an_old_name_warns_where_it_stands():
+def test_the_warning_of_an_old_name_points_to_the_import():
     program = "from jaxvision import io\nimport jaxvision.scene_files\nassert io.read_image"
     done = subprocess.run(
         [sys.executable, "-W", "default", "-c", program], capture_output=True, text=True
     )
     assert not done.returncode
     lines = [line for line in done.stderr.splitlines() if "DeprecationWarning" in line]
-    where = [line.split(": ")[0] for line in lines]  # Python 3.13 shows the source too
+    where = [line.split(": ")[0] for line in lines]  # Python 3.13 also shows the source
     assert where == ["<string>:1", "<string>:2"]
 
 

@@ -1,8 +1,6 @@
-"""NaN in gives NaN out: no public function of numbers turns an undefined input into a defined
-result. The calls are those of `examples/`; a new function is swept by having one. Each argument is
-made NaN as a whole, which must show somewhere, and one number at a time, which must show in each
-number of the result that another finite value there would change.
-"""
+"""Tests that NaN in gives NaN out, for every public function of numbers, with the calls of
+`examples/`. Each argument is made NaN as a whole, which must affect the result, and one number at a
+time, which must affect each number of the result that another finite value there would change."""
 
 from functools import partial
 
@@ -13,8 +11,8 @@ import pytest
 from examples import ROOMS, examples_of
 from public_names import traced
 
-# Rooms in which rays decide by comparing what they meet, which with NaN is nothing, and what is
-# swept in them all the same: the beginnings of names.
+# Modules where rays decide by comparisons, which are false for NaN, and the beginnings of names
+# that are tested nevertheless.
 RAYS = {
     "geometry": (),
     "light_to_numbers": (),
@@ -22,36 +20,36 @@ RAYS = {
     "radiosity": ("transport.radiosity.form_factors.",),
     "transport": (),
 }
-# Functions that say what they make of NaN, or compare a number with a draw: the places in their
-# arguments. A draw takes no part whose chance is NaN.
+# Functions that define their result for NaN, or compare a number with a random draw, with their
+# arguments. A draw whose probability is NaN is not taken.
 EXCEPTIONS = {
     "brdf.dichromatic.sample": ("body", "interface"),
     "brdf.evaluation.sample": ("diffuse", "specular"),
-    "brdf.rgl.albedo": ("vndf",),  # inverted by searching in it
+    "brdf.rgl.albedo": ("vndf",),  # inverted by a search
     "brdf.rgl.sample": ("vndf", "luminance", "[2]"),
     "brdf.torrance_sparrow.sample": ("diffuse", "specular", "interface"),
     "development.white_balancing.neutral_gains": ("[0] number",),  # NaN is a missing pixel
     "histogram.counts.soft_histogram": ("[0]",),  # counted in no bin
-    "histogram.equalisation.equalise": ("[0] number",),  # nor in those of the other pixels
+    "histogram.equalisation.equalise": ("[0] number",),  # NaN does not count for other pixels
     "histogram.local_equalisation.equalise_locally": ("[0] number",),
     "histogram.matching.match_histogram": ("[0] number",),
     "optics.defocus.chromatic_defocus": ("[2]",),  # a depth of NaN is in focus
     "optics.defocus.gather_defocus": ("[2]",),
     "optics.defocus.layered_defocus": ("[2]",),
     "optics.defocus.scatter_defocus": ("[2]",),
-    "point_ops.tone_mapping.scaled_to_key": ("[0] number",),  # left out of the mean
+    "point_ops.tone_mapping.scaled_to_key": ("[0] number",),  # excluded from the mean
     "sensor.fixed_pattern.hot_rates": ("fraction",),
     "sensor.fixed_pattern.sensitivity": ("dead_pixels",),
     "sensor.raw.collect": ("dead_pixels", "hot_pixels", "fraction"),
     "sensor.raw.raw_image": ("dead_pixels", "hot_pixels", "fraction"),
     "sensor.read_out.read_out_noise": ("fraction",),
 }
-# A solver on the host refuses numbers that are not finite.
+# SciPy solvers refuse numbers that are not finite.
 REFUSE = {"development.colour_matrix.camera_colour", "development.colour_matrix.fit_colour_matrix"}
 
 
 WHOLE = -1  # all numbers of an argument
-ROUNDING = 1e-6  # of the largest number of a result
+ROUNDING = 1e-6  # of the largest number in a result
 
 
 def is_float(leaf):
@@ -59,7 +57,7 @@ def is_float(leaf):
 
 
 def read_inputs(jaxpr, wanted):
-    """Which inputs of a program its `wanted` outputs are computed from."""
+    """Return which inputs of a program its `wanted` outputs depend on."""
     needed = {v for v, is_wanted in zip(jaxpr.outvars, wanted, strict=True) if is_wanted}
     needed = {v for v in needed if isinstance(v, jax.extend.core.Var)}
     for equation in reversed(jaxpr.eqns):
@@ -79,8 +77,8 @@ def read_inputs(jaxpr, wanted):
 
 
 def swallowed(function, arguments):
-    """The names of the floating arguments that the function reads, of which a NaN in all numbers,
-    or in one, does not arrive."""
+    """Return the names of floating-point arguments that the function reads without passing on a NaN
+    in all numbers or in one."""
     paths, structure = jax.tree_util.tree_flatten_with_path(arguments)
     leaves = [leaf for _, leaf in paths]
     numbers = [i for i, leaf in enumerate(leaves) if is_float(leaf) and leaf.size]
@@ -90,7 +88,7 @@ def swallowed(function, arguments):
         return [x for x in found if is_float(x)]
 
     def changed(case):
-        """The results with one argument, or one number in it, times a factor."""
+        """Return the results with one argument, or one number in it, multiplied by a factor."""
         argument, number, factor = case
         broken = list(leaves)
         for i in numbers:
@@ -131,7 +129,7 @@ def swallowed(function, arguments):
 
 
 def moves(low, high):
-    """Where two results differ by more than rounding."""
+    """Return where two results differ by more than rounding."""
     known = np.isfinite(low) & np.isfinite(high)
     apart = np.abs(np.where(known, high - low, 0))
     return apart > ROUNDING * np.max(np.abs(np.where(known, low, 0)), initial=0)

@@ -1,5 +1,5 @@
-"""Kinds from outside the package: two lights, a BRDF and a half-silvered mirror, each entered once
-and then followed by every integrator. Against NumPy, and closed forms of the same scenes."""
+"""Tests user-defined types: two lights, a BRDF and a half-silvered mirror, each registered once and
+then used by every integrator, against NumPy and closed forms of the same scenes."""
 
 from functools import partial
 
@@ -19,11 +19,11 @@ from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_alo
 
 KEY = jax.random.key(11)
 
-# ------------------------------------------------ the kinds: what a user would write
+# ------------------------------------------------ the types, as a user would write them
 
 
 class Headlamp(jv.Light):
-    """A lamp that shines along an axis: intensity I [cos(theta)]+^4, in W sr^-1."""
+    """A lamp with intensity I [cos(theta)]+^4 about an axis, in W sr^-1."""
 
     position: jax.Array = eqx.field(converter=jnp.asarray)
     axis: jax.Array = eqx.field(converter=jnp.asarray)
@@ -42,7 +42,7 @@ def from_spot(light, point):
 
 
 class DiscLamp(jv.Light):
-    """A disc that shines from its front, the same radiance in all directions."""
+    """A disc with uniform radiance from its front."""
 
     disc: Disc
     glow: jax.Array = eqx.field(converter=jnp.asarray)
@@ -92,7 +92,7 @@ def minnaert(material, wi, wo):
 
 
 class HalfSilvered(jv.Material):
-    """A thin sheet: a part of the light is mirrored, a part goes straight through."""
+    """A thin sheet that mirrors a part of the light and transmits a part."""
 
     mirrors: jax.Array = eqx.field(converter=jnp.asarray)
     passes: jax.Array = eqx.field(converter=jnp.asarray)
@@ -130,7 +130,7 @@ VIEW = jv.Orthographic([0.1, 0.05, 1.0], DOWN, PITCH, resolution=(ROWS, COLUMNS)
 
 
 def on_floor(fine=1):
-    """Points of the floor that pixels see, (rows, columns, fine^2, 3)."""
+    """Return points of the floor that pixels see, (rows, columns, fine^2, 3)."""
     rows = (np.arange(ROWS * fine) + 0.5) / fine - ROWS / 2
     columns = (np.arange(COLUMNS * fine) + 0.5) / fine - COLUMNS / 2
     y, x = np.meshgrid(0.05 - rows * PITCH, 0.1 + columns * PITCH, indexing="ij")
@@ -139,16 +139,16 @@ def on_floor(fine=1):
 
 
 def reflected(points, diffuse, at=SPOT_AT):
-    """Radiance straight up from the floor under the spot, W m^-2 sr^-1."""
+    """Return the radiance straight up from the floor under the spot, W m^-2 sr^-1."""
     away = at - points
     square = (away**2).sum(-1)
-    cosine = away[..., 2] / np.sqrt(square)  # of incidence, and to the lamp's axis
+    cosine = away[..., 2] / np.sqrt(square)  # of incidence and to the lamp's axis
     f = 1 / np.pi if diffuse else cosine ** (K - 1) / np.pi
     return (f * cosine**5 / square)[..., None] * RHO * STRENGTH
 
 
 def reflected_of_disc(points, diffuse):
-    """The same under the disc, by rings."""
+    """Return the same radiance under the disc, by rings."""
     x, w = np.polynomial.legendre.leggauss(24)
     r, phi = RADIUS * np.sqrt((x + 1) / 2), 2 * np.pi * (np.arange(48) + 0.5) / 48
     ring = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi))], axis=-1).reshape(-1, 2)
@@ -175,7 +175,7 @@ def within_noise(got, error, expected, most=0.05):
 @pytest.mark.sweep
 @pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
 def test_paths(strategy):
-    """Direct light of both lamps by each way to find it, from one point, seen straight down."""
+    """The direct light of both lamps is found by each strategy, at one point seen straight down."""
     method = jv.Paths(4000, 2, strategy=strategy)
     ray = jv.Ray(jnp.asarray([0.1, 0.3, 1.0]), jnp.asarray([0, 0, -1.0]))
     found = jax.jit(partial(jv.path_radiance, method=method))(
@@ -189,7 +189,7 @@ def test_paths(strategy):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_light_paths(name):
-    """What lands in each pixel, against the mean over the pixel."""
+    """The light in each pixel equals the mean over the pixel."""
     trace = jax.jit(partial(jv.light_traced, paths=60000, depth=2, samples=2))
     found = trace(KEY, jv.Scene([ROUGH], [KINDS[name]]), VIEW)
     expected = EXPECTED[name](on_floor(6), diffuse=False).mean(axis=2)
@@ -199,8 +199,8 @@ def test_light_paths(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_radiosity(name):
-    """One diffuse floor, which lights nothing: what it reflects at once, averaged over its
-    elements as radiosity does, tends to the value at the point. Other families are refused."""
+    """A single diffuse floor lights nothing. Its reflected radiance, averaged over its elements,
+    tends to the value at the point. Other families are refused."""
     plan = plan_patches(jv.Scene([WHITE], []), size=0.5, split=4)
 
     @jax.jit
@@ -232,9 +232,10 @@ BELOW = Headlamp(LOW, np.array([0, 0, -1.0]), STRENGTH)
 
 
 @pytest.mark.slow
-def test_half_silvered_shows_what_is_mirrored_and_what_is_behind():
-    """From above: the ceiling by the mirrored part, and by the rest the floor, lit by a lamp below
-    the sheet. Trees without noise, paths within it; direct light, which follows no ray, is 0."""
+def test_half_silvered_shows_the_mirrored_and_the_transmitted_scene():
+    """The view from above shows the ceiling mirrored and the floor, lit by a lamp below the sheet,
+    transmitted. Ray trees are exact, and paths within their noise. Direct light, which follows no
+    ray, is 0."""
     scene = jv.Scene([ROUGH, SHEET, CEILING], [BELOW])
     ray = jv.Ray(jnp.asarray([0.1, 0.3, 2.0]), jnp.asarray([0, 0, -1.0]))
     floor = reflected(np.array([[0.1, 0.3, 0.0]]), diffuse=False, at=LOW)[0]
@@ -252,9 +253,9 @@ def test_half_silvered_shows_what_is_mirrored_and_what_is_behind():
 
 
 @pytest.mark.slow
-def test_half_silvered_lets_light_through_onto_what_lies_behind():
-    """Light tracing: a spot above the sheet lights the floor below, dimmed in each band by what
-    passes, whatever the way the path is drawn by."""
+def test_half_silvered_transmits_light_onto_surfaces_behind():
+    """In light tracing, a spot above the sheet lights the floor below, reduced in each band by the
+    transmission, however the path is chosen."""
     trace = jax.jit(partial(jv.light_traced, paths=60000, depth=3, samples=2))
     view = jv.Orthographic([0.1, 0.05, 0.6], DOWN, PITCH, resolution=(ROWS, COLUMNS))
     found = trace(KEY, jv.Scene([ROUGH, SHEET], [SPOT]), view)
@@ -262,15 +263,15 @@ def test_half_silvered_lets_light_through_onto_what_lies_behind():
     within_noise(found.radiance, found.error, expected, most=0.1)
 
 
-# ------------------------------------------------ what a kind need not say
+# ------------------------------------------------ optional parts of a type
 
 
 class NoRays(DiscLamp):
-    """A disc that was entered without the rays that leave it."""
+    """A disc registered without the rays that leave it."""
 
 
 @pytest.mark.slow
-def test_an_extended_light_without_rays_is_refused_by_light_tracing_alone():
+def test_an_extended_light_without_rays_is_refused_only_by_light_tracing():
     lights.register_extended(NoRays, seen=disc_seen, sample=disc_sample, pdf=disc_pdf)
     scene = jv.Scene([ROUGH], [NoRays(LAMP.disc, LAMP.glow)])
     with pytest.raises(ValueError, match=r"needs NoRays to be registered with `emitted`.*leave it"):

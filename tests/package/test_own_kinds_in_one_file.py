@@ -1,5 +1,5 @@
-"""A light and a BRDF from outside, each in one file: rendered, read from a scene file, pruned,
-measured and fitted, and nothing else is touched."""
+"""Tests a user-defined light and BRDF, each in one file: rendered, read from a scene file, pruned,
+measured and fitted without other changes."""
 
 import importlib
 import sys
@@ -136,7 +136,7 @@ intensity = [1, 2, 3]
 
 @pytest.fixture
 def kinds(tmp_path, monkeypatch):
-    """The two files in a folder of their own, imported; the modules by their names."""
+    """Import the two files from their own folder, and return the modules by name."""
     folder = tmp_path / "kinds"
     folder.mkdir()
     (folder / "own_spot.py").write_text(SPOT)
@@ -155,7 +155,7 @@ def source(tmp_path, kinds):
 
 
 def expected(height, intensity, points):
-    """Radiance straight up from the tape under a spot above the origin, W m^-2 sr^-1."""
+    """Return the radiance straight up from the tape under a spot above the origin, W m^-2 sr^-1."""
     square = (points**2).sum(-1) + height**2
     cosine = (height / np.sqrt(square))[..., None]
     strength = np.array([0.2, 0.3, 0.4])
@@ -163,13 +163,13 @@ def expected(height, intensity, points):
 
 
 def seen_points():
-    """(3, 4, 2) m of the floor that the pixels of the file's camera see."""
+    """Return the points of the floor, (3, 4, 2) m, that the pixels of the file's camera see."""
     x, y = 0.1 + 0.5 * (np.arange(4) - 1.5), 0.2 - 0.5 * (np.arange(3) - 1)
     return np.stack(np.meshgrid(x, y), axis=-1)
 
 
-def test_a_scene_file_holds_them_and_they_render(source):
-    """Against the closed form."""
+def test_a_scene_file_contains_them_and_they_render(source):
+    """The picture equals the closed form."""
     assert [type(light).__name__ for light in source.scene.lights] == ["Lantern", "Lantern"]
     assert type(source.scene.surfaces[0].material).__name__ == "Tape"
     points = seen_points()
@@ -197,12 +197,12 @@ def test_their_mistakes_are_named(tmp_path, kinds, case):
 
 
 def test_effects_drops_what_their_bounds_allow(source, kinds):
-    """The far spot goes, and the picture changes by no more than the certificate says."""
+    """The distant spot is dropped, and the picture changes by at most the certified bound."""
     pruned = effects.prune(source.scene, source.view, "1%", level=0.1)
     assert len(pruned.scene.lights) == 1
     (row,) = (row for row in pruned.certificate.dropped if row.name == "lights[1]")
     change = expected(90, np.array([1, 2, 3]), seen_points()).max()
-    assert change <= 0.1 * row.bound <= 1.6 * change  # which is relative to the level
+    assert change <= 0.1 * row.bound <= 1.6 * change  # relative to the level
     tape = kinds[1]
     brdf.register(tape.Tape, evaluate=tape.back_again)
     kept = effects.prune(source.scene, source.view, "1%", level=0.1)
@@ -351,7 +351,7 @@ def test_a_camera_file_holds_a_sensor_effect_and_raw_images_show_it(tmp_path, le
 
 
 def test_effects_drops_a_sensor_effect_that_its_bound_allows(tmp_path, leak):
-    """The small one goes; without a bound no more is dropped than behind it."""
+    """The small effect is dropped. Without a bound, no effect before it is dropped."""
     (tmp_path / "mine.toml").write_text(CAMERA)
     camera = jv.read_camera(tmp_path / "mine.toml")
     floor = jv.Surface(jv.Plane([0, 0, 2], [0, 0, -1]), jv.Lambert([0.3]))
@@ -369,7 +369,7 @@ def test_effects_drops_a_sensor_effect_that_its_bound_allows(tmp_path, leak):
 
 @pytest.mark.slow
 def test_a_fit_estimates_a_sensor_effect(leak):
-    """The share, from the variance of flat frames by simulation."""
+    """The share is estimated from the variance of simulated flat frames."""
     import fitting
 
     levels, count = jnp.array([50.0, 200.0, 800.0]), 40_000
@@ -385,7 +385,7 @@ def test_a_fit_estimates_a_sensor_effect(leak):
 
     keys = jax.random.split(jax.random.key(0), 3)
     data = jnp.stack([frame(key, level) for key, level in zip(keys, levels, strict=True)])
-    sd = np.asarray(data) * np.sqrt(2 / count) * 1.2  # neighbours are correlated
+    sd = np.asarray(data) * np.sqrt(2 / count) * 1.2  # for correlated neighbours
     problem = fitting.Problem(
         {"share": fitting.Parameter(lower=0.01, upper=0.45)},
         predict,

@@ -1,8 +1,8 @@
-"""Every primitive has a fallback in public JAX: the same values and derivatives, in every program.
+"""Tests that every primitive has a fallback in public JAX, with the same values and derivatives, in
+every program.
 
-This file is also the program that computes them, in a process of its own where the fallbacks are
-forced: `python test_plain_jax.py FILE`.
-"""
+This file is also the program that computes them, in a separate process where the fallbacks are
+forced: `python test_plain_jax.py FILE`."""
 
 import os
 import re
@@ -29,7 +29,7 @@ CORRELATIONS = [
 
 
 def derivatives(f, *arguments):
-    """f and the gradient of sum(sin(f)), and the derivatives of both along the arguments."""
+    """Return f, the gradient of sum(sin(f)), and the derivatives of both along the arguments."""
 
     def both(*x):
         gradient = jax.grad(lambda *x: jnp.sum(jnp.sin(f(*x))), argnums=(0, 1))
@@ -55,8 +55,8 @@ def correlations():
 
 
 def pictures():
-    """Direct light and traced paths, with their gradients in the material and place of a ball and
-    in a lamp, and the slope of direct light along them."""
+    """Return direct light and traced paths, with their gradients by material and position of a ball
+    and by a lamp, and the derivative of direct light along them."""
     from jaxvision import (
         Lambert,
         PhongBRDF,
@@ -96,7 +96,7 @@ def pictures():
 
 
 def everything():
-    """All numbers, each array under a name."""
+    """Return all numbers, each array under a name."""
     cases = {**correlations(), **pictures()}
     paths, _ = jax.tree_util.tree_flatten_with_path(cases)
     return {jax.tree_util.keystr(path): np.asarray(value) for path, value in paths}
@@ -128,7 +128,7 @@ def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
         "jax.extend.core.Primitive = None",
     ],
 )
-def test_a_jax_with_other_internals_is_served_by_the_fallbacks(lacks):
+def test_a_jax_with_other_internals_uses_the_fallbacks(lacks):
     program = (
         f"import jax, jax.extend.core, jax.interpreters.mlir; {lacks}\n"
         "from jaxvision.core._loops import fusion; assert fusion.PLAIN"
@@ -144,7 +144,7 @@ def test_the_installed_jax_has_the_internals():
 
 
 @pytest.mark.slow
-def test_the_rooms_own_tests_pass_with_the_fallbacks():
+def test_the_modules_own_tests_pass_with_the_fallbacks():
     files = [
         Path(__file__).parents[1] / room / f"test_{file}.py"
         for room, file in (
@@ -158,7 +158,7 @@ def test_the_rooms_own_tests_pass_with_the_fallbacks():
     subprocess.run(command, env=os.environ | FORCED, check=True)
 
 
-def test_two_modules_use_what_jax_keeps_below_its_interface():
+def test_two_modules_use_private_parts_of_jax():
     below = re.compile(r"jax\.(_src|interpreters|extend|experimental\.xla_metadata)\b")
     users = {
         p.relative_to(PACKAGE).as_posix()

@@ -1,4 +1,5 @@
-"""The seed of a command reaches every draw of every calibration, and is the one recorded."""
+"""Tests that the seed of a command reaches every random draw of every calibration, and is the
+recorded one."""
 
 import json
 from functools import partial
@@ -32,7 +33,7 @@ from jaxvision.brdf.measured import BRDFSamples
 
 
 def material():
-    """A Lambertian sheet with noise: one parameter, so one short draw."""
+    """Return a Lambertian sheet with noise, which has one parameter, so draws are short."""
     rng = np.random.default_rng(0)
     theta_i = np.repeat(np.radians([15.0, 30.0, 45.0, 60.0, 75.0]), 8)
     theta_o = np.tile(np.radians(np.linspace(0, 70, 8)), 5)
@@ -44,7 +45,7 @@ def material():
 
 @pytest.fixture(scope="module")
 def calibrations(lab):
-    """By name: a calibration of (sampling, seed), and the posteriors it ends with."""
+    """Return {name: (calibration of (sampling, seed), its posteriors)}."""
     folder, _ = lab
     stack = read_exposure_stack(load_rig(folder / "response"))
     images = read_reflectance_observation(load_rig(folder / "brdf"))
@@ -116,8 +117,8 @@ def test_the_recorded_seed_is_the_one_that_drew(lab, tmp_path):
         assert chains.attrs["seed"].tolist() == [7, 7, 7]
 
 
-def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
-    """Of a folder with several gains: what is read and fitted is left out, the seeds are kept."""
+def test_a_seed_reaches_every_setting_and_the_joint_fit(monkeypatch):
+    """The folder has several gains. Reading and fitting are replaced, and the seeds recorded."""
     seeds = []
 
     def calibrate_one(one, *, sampling, seed):
@@ -141,7 +142,7 @@ def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
     assert seeds == [("low", 7), ("high", 7), ("all", 7)]
 
 
-def test_the_draws_of_a_fit_are_those_of_its_seed():
+def test_the_draws_of_a_fit_depend_on_its_seed():
     data = 2 + 0.1 * np.random.default_rng(1).standard_normal(20)
     level = {"level": Parameter(start=0.0)}
     problem = Problem(level, lambda level: level * jnp.ones(20), Gaussian(0.1), data)
@@ -151,7 +152,7 @@ def test_the_draws_of_a_fit_are_those_of_its_seed():
     assert (first.seed, other.seed) == (7, 8)
 
 
-def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
+def test_a_joint_calibration_passes_its_seed_to_every_channel(monkeypatch):
     seeds = []
 
     def posterior(fit, robust, sampling, seed):
@@ -162,7 +163,7 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     monkeypatch.setattr(joint, "image_sandwich", lambda *_: None)
     monkeypatch.setattr(joint, "drop_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
-    monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in
+    monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # for the stand-in
     monkeypatch.setattr(joint, "_recognise_pixel_means", lambda observation, *_: observation)
     monkeypatch.setattr(joint, "_decode_photographs", lambda observation, *_: (observation, False))
     dn = np.ones((2, 1, 1))

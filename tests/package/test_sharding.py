@@ -1,4 +1,5 @@
-"""Arrays shared out among four devices, of one process or of two, give the results of one."""
+"""Tests that arrays divided among four devices, of one process or two, give the results of one
+device."""
 
 import os
 import socket
@@ -130,7 +131,8 @@ print("equal")
 
 
 def environment(devices):
-    """Of a process whose processor stands for some devices, each of which needs a thread."""
+    """Return the environment of a process whose CPU stands for several devices, each with a
+    thread."""
     flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
     root = Path(__file__).parents[2]
     return os.environ | {"XLA_FLAGS": flags, "NPROC": f"{2 * devices}", "PYTHONPATH": str(root)}
@@ -147,7 +149,7 @@ def test_pixels_patches_fits_and_chains_are_equal_on_four_devices():
 
 @pytest.mark.slow
 def test_they_are_equal_on_two_hosts_of_two_devices():
-    """Two processes that know each other by the loopback alone."""
+    """The two processes communicate by the loopback interface only."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         address = f"localhost:{free.getsockname()[1]}"

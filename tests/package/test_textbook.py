@@ -1,4 +1,4 @@
-"""Words of textbooks lead to the names and arguments that they are called here."""
+"""Tests that textbook terms lead to the names and arguments used here."""
 
 import inspect
 import re
@@ -20,7 +20,8 @@ NOTIONS = Path(__file__).parents[2] / "docs" / "notions.md"
 
 
 def is_public(name):
-    """Whether the site's reference has this name, as it has functions and classes, not modules."""
+    """Return whether the site's reference has this name. It has functions and classes, not
+    modules."""
     for root in ("jaxvision", "fitting"):
         module, _, last = f"{root}.{name}".rpartition(".")
         try:
@@ -33,7 +34,7 @@ def is_public(name):
 
 
 def words_of_arguments():
-    """Fields of the records, arguments of the functions and keys of files that users write."""
+    """Return the fields of records, arguments of functions and keys of files that users write."""
     found = {"albedo", *inspect.signature(tables.VIEWS["pinhole"]).parameters}
     for package in (jv, jv.filters, jv.optics, jv.sensor, fitting):
         for one in (getattr(package, name) for name in package.__all__):
@@ -44,7 +45,7 @@ def words_of_arguments():
     return found
 
 
-def test_every_target_is_there():
+def test_every_target_exists():
     known = words_of_arguments()
     lost = {
         t for targets in TARGETS.values() for t in targets if not is_public(t) and t not in known

@@ -1,4 +1,4 @@
-"""Conversions keep dtypes, checks name the value they got, grouping keeps the order."""
+"""Tests that conversions keep dtypes, checks name the value, and grouping keeps the order."""
 
 import inspect
 import re
@@ -34,7 +34,7 @@ from jaxvision.scene.views import View
 
 
 def test_aliases_print_as_their_names_and_still_check():
-    """In signatures and type errors; and axes of one name still have one length."""
+    """This holds in signatures and type errors. Axes of one name still have one length."""
 
     @jaxtyped(typechecker=beartype)
     def mixed(a: Colour, b: Colour, key: Key) -> Colour:
@@ -55,7 +55,7 @@ def test_floating_dtypes_are_kept(dtype):
 
 
 @pytest.mark.parametrize("x", [1, 1.0, True, np.int32(3), jnp.asarray(1.0)])
-def test_the_rest_becomes_the_default_and_strong(x):
+def test_other_dtypes_become_the_default_and_strong(x):
     array = as_float(x)
     assert array.dtype == jnp.result_type(float)
     assert not array.weak_type
@@ -86,8 +86,8 @@ def test_shape_checks_name_got_and_expected():
 
 
 @pytest.mark.parametrize("root", [jv, fitting])
-def test_signatures_say_names_of_unions(root):
-    """None spells out the members of one, so that `help` can be read."""
+def test_signatures_name_unions(root):
+    """No signature spells out the members of a union, so that `help` is readable."""
     for name in dir(root):
         offered = getattr(root, name)
         is_error = isinstance(offered, type) and issubclass(offered, Exception)
@@ -100,8 +100,8 @@ def test_signatures_say_names_of_unions(root):
 
 
 @pytest.mark.parametrize("root", [jv, fitting])
-def test_signatures_of_rooms_say_names_too(root):
-    """Of what NumPy makes an array of, and of numbers with a range."""
+def test_signatures_in_modules_name_unions(root):
+    """This holds for arguments that NumPy converts to arrays, and for numbers with a range."""
     rooms = [thing for name in root.__all__ if inspect.ismodule(thing := getattr(root, name))]
     offered = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
     said = [str(inspect.signature(one)) for one in offered if inspect.isfunction(one)]
@@ -111,7 +111,7 @@ def test_signatures_of_rooms_say_names_too(root):
     assert "bits: int, gamma: Optional[float]" in str(inspect.signature(fitting.joint.Camera))
 
 
-def test_what_numpy_makes_an_array_of_has_a_name():
+def test_the_type_of_arguments_that_numpy_converts_has_a_name():
     for given in (jnp.ones(2), np.ones(2), np.float32(1), 1, 1.5, True, [[1, 2], [3, 4]], (1.0,)):
         assert isinstance(given, jv.ArrayLike), given
     for wrong in (None, object(), {1.0}):
@@ -173,7 +173,7 @@ def test_records_print_their_numbers():
         "  two_sided=False,\n"
         ")"
     )
-    assert repr(jv.Sensor(gain=2.0)) == "Sensor(gain=2)"  # what is absent is not printed
+    assert repr(jv.Sensor(gain=2.0)) == "Sensor(gain=2)"  # absent effects are not printed
     wide = jv.PointLight([0, 0, 1], np.linspace(2, 5, 31).astype(np.float32))
     assert repr(wide) == "PointLight(position=[0, 0, 1], intensity=float32[31] from 2 to 5)"
     assert (
@@ -211,11 +211,11 @@ def test_records_print_their_numbers():
         ["diffuse", "[0.25]"],
         ["two_sided", "False"],
     ]
-    assert cells[2][2] == "() m, &gt; 0."  # unit and meaning, from the docstring
+    assert cells[2][2] == "() m, &gt; 0."  # from the docstring
     crowd = jv.Scene([ball] * 20, [])._repr_html_()
     assert "surfaces[11]" in crowd
     assert "surfaces[12]" not in crowd
     assert "and 8 more" in crowd
     said = []
     jax.eval_shape(lambda sphere: said.append(repr(sphere)), ball.shape)
-    assert said[0].startswith("Sphere(centre=f")  # no numbers while they are traced
+    assert said[0].startswith("Sphere(centre=f")  # no numbers while traced

@@ -1,4 +1,4 @@
-"""What the type checks of these tests would catch before the library does: run without them."""
+"""Tests, without the type checks of the other tests, that the library itself refuses bad input."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Plots of results show the numbers that they were given."""
+"""Tests that plots of results show the numbers that they are given."""
 
 import dataclasses
 import re
@@ -19,7 +19,7 @@ RNG = np.random.default_rng(4)
 GRID = np.linspace(400e-9, 700e-9, 7)
 
 
-def test_a_picture_is_its_codes_and_marks_what_is_no_number():
+def test_a_picture_shows_its_codes_and_marks_undefined_pixels():
     codes = RNG.integers(0, 256, (5, 4, 3), dtype=np.uint8)
     shown = plots.picture(codes).images[0].get_array()
     np.testing.assert_allclose(shown, codes / 255, rtol=1e-6)
@@ -36,11 +36,11 @@ def test_false_colour_has_a_scale_in_its_unit():
     assert image.colorbar.ax.get_ylabel() == "depth [m]"
     np.testing.assert_allclose(image.norm(depth[0]), [0, 0.5], atol=1e-12)
     assert image.cmap.get_bad().tolist() == [1, 0, 1, 1]
-    flat = plots.false_colour(np.full((2, 2), 3.0))  # one value has a colour, too
+    flat = plots.false_colour(np.full((2, 2), 3.0))  # a single value has a colour, too
     assert np.isfinite(flat.images[0].norm(3.0))
 
 
-def test_a_logarithmic_histogram_says_what_it_leaves_out():
+def test_a_logarithmic_histogram_names_omitted_values():
     values = np.geomspace(1e-3, 1e3, 400, dtype=np.float32).reshape(20, 20)
     assert "below" not in plots.histogram(values).get_xlabel()
     values[0, :3] = 0, -1, np.nan
@@ -66,7 +66,7 @@ def test_pictures_without_numbers_have_a_scale():
     assert shown[:2] == [(0, 0.5), (0, 1)]
 
 
-def test_a_band_that_no_material_has_is_refused():
+def test_a_band_that_a_material_lacks_is_refused():
     coloured = {"grey": jv.Lambert([0.3]), "red": jv.Lambert([0.3, 0.1, 0.1])}
     assert plots.lobe(coloured, band=2).lines
     for materials, band in ((coloured, 3), (jv.Lambert([0.3]), 1), (coloured, -1)):
@@ -99,7 +99,7 @@ def test_spectra_are_over_nanometres(values, names):
 
 
 def test_a_lobe_peaks_at_the_mirror_direction():
-    """Phong's, k_s (n + 2) / (2 pi) there, by hand."""
+    """Phong's value there is k_s (n + 2) / (2 pi)."""
     shiny = jv.NormalisedPhong([0.0, 0.0], [0.5, 0.25], 40.0)
     axes = plots.lobe({"shiny": shiny}, incidence=np.radians(45), band=1)
     angle, radius = axes.lines[0].get_data()
@@ -112,7 +112,7 @@ def test_a_lobe_peaks_at_the_mirror_direction():
 
 
 def test_the_components_of_a_lobe_sum_to_it():
-    """By the closed form k_d + k_s cos^n, each term by itself and both together."""
+    """By the closed form k_d + k_s cos^n, each term alone and the sum are drawn."""
     materials = {"paint": jv.PhongBRDF([0.2], [0.5], 20.0), "chalk": jv.Lambert([0.3])}
     axes = plots.lobe(materials, incidence=0.6, components=True)
     lines = {line.get_label(): line.get_data() for line in axes.lines[:-1]}
@@ -127,7 +127,7 @@ def test_the_components_of_a_lobe_sum_to_it():
 
 
 def test_a_lobe_on_cartesian_axes_is_over_degrees():
-    """By the closed form, and the sum has its entry in the legend."""
+    """The curve is the closed form, and the sum has an entry in the legend."""
     axes = plots.lobe(
         jv.PhongBRDF([0.2], [0.5], 20.0), incidence=0.6, components=True, axes=Figure().gca()
     )
@@ -141,7 +141,7 @@ def test_a_lobe_on_cartesian_axes_is_over_degrees():
 
 
 def test_a_lobe_of_any_width_shows_its_height():
-    """Of cos^n, 1 at the mirror's direction, and to 1 % what a line between two points shows."""
+    """cos^n is 1 in the mirror direction, and lines between points are within 1 %."""
     shiny = {f"{n:g}": jv.PhongBRDF([0.0], [1.0], n) for n in (1e2, 1e3, 1e4, 1e5, 1e6)}
     axes = plots.lobe(shiny, incidence=np.pi / 6)
     for n, line in zip(map(float, shiny), axes.lines, strict=False):
@@ -188,7 +188,7 @@ def test_pictures_share_one_scale():
     np.testing.assert_allclose(first.norm(grey), grey / 2)
     np.testing.assert_allclose(second.get_array(), np.minimum(colour / 2, 1))
     own = plots.pictures({"a": 5 * grey, "b": grey, "c": grey}, columns=2, limits=None, unit="m")
-    assert len(own.axes) == 6  # each with its scale
+    assert len(own.axes) == 6  # each with its own scale
     assert own.axes[0].images[0].get_clim() == (0, 5 * grey.max())
 
 
@@ -196,7 +196,7 @@ def trial(setting, seconds, error):
     return Trial(setting, error, error, error, seconds, seconds, seconds, seconds)
 
 
-def test_the_line_of_settings_leaves_out_what_another_beats():
+def test_the_line_of_settings_omits_dominated_ones():
     trials = [
         trial("fast", 1, 0.1),
         trial("beaten", 2, 0.2),
@@ -214,7 +214,7 @@ def test_the_line_of_settings_leaves_out_what_another_beats():
     "seconds", [(1.5e-4, 1.7e-4, 2e-4, 2.1e-4), (0.22, 0.24, 0.26, 0.28), (1e-3, 1e-2, 0.1, 9.0)]
 )
 def test_numbers_and_names_of_a_curve_do_not_overlap(seconds):
-    """By the boxes that matplotlib draws them in."""
+    """The reference is the boxes in which matplotlib draws them."""
     trials = [trial(10.0**-i, s, 0.3 / 20**i) for i, s in enumerate(seconds)]
     knob = Knob("tolerance", "", "", tuple(t.setting for t in trials), ())
     floor = Reference(None, 0.0, "closed form")
@@ -282,7 +282,7 @@ def test_a_trace_has_a_row_a_number_and_a_path_a_chain():
         (lambda: plots.corner({"a": RNG.normal(size=9)}, truth={"b": 1.0}), "'b'"),
     ],
 )
-def test_what_cannot_be_drawn_is_said(draw, words):
+def test_impossible_plots_are_refused(draw, words):
     with pytest.raises(InputError, match=words):
         draw()
 
@@ -313,14 +313,14 @@ def test_a_wide_figure_is_cut_between_its_columns(widest, columns):
     expected = [[*range(a, b), *range(4 + a, 4 + b)] for a, b in pairwise(ends)]
     assert kept == expected
     width, height = sizes(strips).T
-    np.testing.assert_allclose(width.sum(), 8 * 72, rtol=1e-4)  # together the whole figure
+    np.testing.assert_allclose(width.sum(), 8 * 72, rtol=1e-4)  # together they are the whole figure
     np.testing.assert_allclose(height, 2 * 72, rtol=1e-4)
     assert np.ptp(width) < 0.2 * width.mean()
     if len(columns) == 1:
         assert strips == (figure_svg(lambda: panels(4, 8)),)
 
 
-def test_a_figure_with_words_of_its_own_stays_whole():
+def test_a_figure_with_its_own_text_is_not_divided():
     figure = panels(4, 8)
     figure.suptitle("of all")
     assert len(figure_strips(lambda: figure, widest=200)) == 1

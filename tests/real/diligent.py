@@ -1,4 +1,4 @@
-"""The published DiLiGenT ball (Shi et al., CVPR 2016) as a folder that the tools read."""
+"""The published DiLiGenT ball (Shi et al., CVPR 2016) as a folder for the commands."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from jaxvision.files.images import write_image
 
 
 def write_ball_rig(data_folder: Path, folder: Path, *, lights: slice = slice(None)) -> Path:
-    """16-bit PNGs, normals, mask and rig.toml; every fourth light is held out."""
+    """Write 16-bit PNGs, normals, mask and rig.toml, with every fourth light held out."""
     ball = np.load(data_folder / "diligent_ball" / "ball.npz")
     np.save(folder / "normals.npy", ball["normals"])
     write_image(folder / "mask.png", 255 * ball["mask"].astype(np.uint8))

@@ -1,4 +1,4 @@
-"""The published exposure stacks as folders that the tools read; images stay where they are."""
+"""The published exposure stacks as folders for the commands, without copies of the images."""
 
 import json
 import re
@@ -8,7 +8,7 @@ CAMERA = "[camera]\nbits = 8\n"
 
 
 def write_memorial_rig(data_folder: Path, folder: Path) -> Path:
-    """Debevec & Malik's memorial church (1997): 16 exposures."""
+    """Write a rig for Debevec & Malik's memorial church (1997), 16 exposures."""
     root = data_folder / "hdr_memorial"
     lines = (root / "memorial.hdr_image_list.txt").read_text().splitlines()
     entries = [line.split() for line in lines if line.startswith("memorial")]
@@ -19,7 +19,8 @@ def write_memorial_rig(data_folder: Path, folder: Path) -> Path:
 
 
 def write_bandpass_rig(data_folder: Path, folder: Path, *, bands: tuple[str, ...] = ()) -> Path:
-    """Llanos' linear GBRG stacks: the band and the shutter time are in the file names."""
+    """Write a rig for Llanos' linear GBRG stacks, with band and shutter time from the file
+    names."""
     root = data_folder / "llanos_bandpass"
     stack = []
     for file in sorted((root / "color_checker").glob("*.tif")):

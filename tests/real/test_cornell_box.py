@@ -1,4 +1,5 @@
-"""The Cornell box from its measured spectra: reduced to colours, and rendered band by band."""
+"""Tests the Cornell box from its measured spectra, converted to colours, and rendered band by
+band."""
 
 import jax
 import numpy as np
@@ -15,12 +16,13 @@ SURFACES = ("white", "green", "red")
 
 @pytest.fixture(scope="module")
 def table(data_folder):
-    """Its columns by name; nm in the first."""
+    """Return the columns by name, with nm in the first."""
     return np.genfromtxt(data_folder / "cornell_box" / TABLE, delimiter=",", names=True)
 
 
 def scene_text(folder):
-    """The box's back wall, green wall and red wall under its lamp, all by measured spectra."""
+    """Return the box's back wall, green wall and red wall under its lamp, all with measured
+    spectra."""
 
     def spectrum(column):
         return f'{{file = "{folder / "cornell_box" / TABLE}", column = "{column}"}}'
@@ -58,7 +60,7 @@ intensity = {spectrum("light_linear_interp")}
 
 @pytest.fixture(scope="module")
 def spectral(tmp_path_factory, data_folder):
-    """The scene at 31 wavelengths, and its picture."""
+    """Return the scene at 31 wavelengths, and its picture."""
     file = tmp_path_factory.mktemp("cornell") / "box.toml"
     file.write_text(scene_text(data_folder))
     source = read_scene(file)
@@ -66,14 +68,14 @@ def spectral(tmp_path_factory, data_folder):
 
 
 @pytest.mark.slow
-def test_bands_are_the_table_between_its_rows(spectral, table):
+def test_bands_interpolate_the_table(spectral, table):
     source, _ = spectral
     nm = np.arange(400, 701, 10)
     for surface, name in zip(source.scene.surfaces, SURFACES, strict=True):
         expected = np.interp(nm, table["wavelength_nm"], table[name]) / np.pi
         np.testing.assert_allclose(surface.material.diffuse, expected, rtol=1e-5)
     known, power = table["wavelength_nm"], table["light_linear_interp"]
-    expected = []  # light is the mean over what the table covers of each band
+    expected = []  # light is the mean over the covered part of each band
     for low in nm - 5:
         fine = np.linspace(max(low, known.min()), min(low + 10, known.max()), 20_001)
         expected.append(np.interp((fine[1:] + fine[:-1]) / 2, known, power).mean())
@@ -81,7 +83,8 @@ def test_bands_are_the_table_between_its_rows(spectral, table):
 
 
 def test_every_band_of_the_picture_is_geometry_times_spectra(spectral, table):
-    """One bounce: each pixel is (paint x lamp)(lambda) times one number, the same in all bands."""
+    """With a single reflection each pixel is (paint x lamp)(lambda) times a number that is equal in
+    all bands."""
     _, picture = spectral
     nm = np.arange(400, 701, 10)
     lamp = np.interp(nm, table["wavelength_nm"], table["light_linear_interp"])
@@ -91,12 +94,12 @@ def test_every_band_of_the_picture_is_geometry_times_spectra(spectral, table):
     lit = np.linalg.norm(pixels, axis=1) > 0
     cosines = pixels[lit] @ directions.T / np.linalg.norm(pixels[lit], axis=1, keepdims=True)
     np.testing.assert_allclose(cosines.max(axis=1), 1, atol=1e-5)
-    assert set(cosines.argmax(axis=1)) == {0, 1, 2}  # each of the three walls is seen
+    assert set(cosines.argmax(axis=1)) == {0, 1, 2}  # all three walls are visible
 
 
 @pytest.mark.slow
-def test_the_published_rgb_colours_are_these_spectra(table):
-    """The RGB of Mitsuba's box, which it made of the same measurements."""
+def test_the_published_rgb_colours_follow_from_these_spectra(table):
+    """Mitsuba's RGB values of the box are from the same measurements."""
     matrix = reduction(table["wavelength_nm"] * 1e-9, Bands(3), quantity="light")
     published = (cornell_box.WHITE, cornell_box.GREEN, cornell_box.RED)
     for name, rgb in zip(SURFACES, published, strict=True):
@@ -104,8 +107,8 @@ def test_the_published_rgb_colours_are_these_spectra(table):
 
 
 def test_colours_are_integrals_over_all_rows(spectral, table):
-    """x and y of each wall, from the picture at 31 wavelengths, against the plain sum of paint
-    times lamp times observer over the 76 rows of the table: apart by the steps of 10 nm."""
+    """x and y of each wall, from the picture at 31 wavelengths, equal the sum of paint times lamp
+    times observer over the 76 rows of the table, except for the steps of 10 nm."""
     import colour
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]

@@ -1,6 +1,6 @@
-"""The DiLiGenT ball, a real sphere: a lobe predicts unseen lights better than Lambert, the misfit
-is noticed, and the intervals say so. No parameter of it is published: what is checked is the
-prediction of photographs."""
+"""Tests the DiLiGenT ball, a real sphere: a lobe predicts held-out lights better than Lambert's
+model, the misfit is detected, and the intervals include it. No parameter of the ball is published,
+so predictions of photographs are checked."""
 
 import numpy as np
 import pytest
@@ -46,8 +46,9 @@ def test_rounded_light_directions_are_renormalised(ball, data_folder):
 
 
 @pytest.mark.slow
-def test_shading_tells_the_directions(ball):
-    """Calibrated by a mirror ball; the matt ball's shading agrees within 3 degrees."""
+def test_shading_gives_the_directions(ball):
+    """The stated directions were calibrated by a mirror ball. Those from the matte ball's shading
+    agree within 3 degrees."""
     observation = read_reflectance_observation(load_rig(ball))
     shown, told = directions_by_shading(observation)
     assert told.all()
@@ -71,7 +72,7 @@ def test_prediction_is_as_good_as_the_fit(calibration):
 
 
 @pytest.mark.slow
-def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
+def test_the_misfit_is_detected_and_widens_the_intervals(calibration):
     for fit in calibration.chosen_fits:
         assert fit.design_effect > 50
         assert 0.03 < fit.spread.relative < 0.10
@@ -82,14 +83,15 @@ def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
         assert find(section.estimates, "diffuse", group=channel).standard_error > 5
     words = " ".join(section.findings)
     assert "images under neighbouring lights is similar" in words
-    # Of 48 lights that err alike by regions, Phong's k_s does not tell whether it is coloured.
+    # With 48 lights whose errors are correlated by region, Phong's k_s does not show whether it is
+    # coloured.
     assert "highlight is coloured" not in words
     assert "outline of the object" in words
     assert "Attached shadows are not black" in words
 
 
 @pytest.mark.slow
-def test_the_outline_is_darker_than_any_model_says(calibration):
+def test_the_outline_is_darker_than_any_model(calibration):
     residual, normals = mean_residual(calibration), calibration.observation.normals
     assert np.nanmean(residual[normals[:, 2] < 0.4]) < -0.05
     assert abs(np.nanmean(residual[normals[:, 2] > 0.6])) < 0.05
@@ -102,8 +104,8 @@ def test_pictures_are_drawn(calibration):
 
 
 @pytest.mark.slow
-def test_a_joint_fit_tells_misfit_from_noise(ball):
-    """Pixels of like normals scatter far less than any model misses."""
+def test_a_joint_fit_distinguishes_misfit_from_noise(ball):
+    """Pixels with similar normals scatter far less than the misfit of any model."""
     measurement = read_joint_measurement(load_rig(ball))
     fit = fit_channel(measurement, 0, Form("phong"))
     assert fit.converged

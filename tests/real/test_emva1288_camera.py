@@ -1,4 +1,4 @@
-"""A real 12-bit camera against its published EMVA 1288 sheet (reference_results.csv)."""
+"""Tests a real 12-bit camera against its published EMVA 1288 sheet (reference_results.csv)."""
 
 import csv
 from dataclasses import replace
@@ -68,14 +68,14 @@ def test_pixel_count_depth_and_ranges_are_found(measurement, published):
         ("dark_current_mean", "u_I_mean"),
     ],
 )
-def test_the_standards_sheet_is_the_published_one(calibration, published, ours, theirs):
+def test_the_standards_sheet_equals_the_published_one(calibration, published, ours, theirs):
     value = float(calibration.standard.values[ours])
     np.testing.assert_allclose(value, published[theirs], rtol=1e-6)
     assert 0 < float(calibration.standard.errors[ours]) < abs(value)
 
 
 @pytest.mark.slow
-def test_release_4_differs_by_its_threshold_and_says_what_a_table_lacks(data_folder, published):
+def test_release_4_differs_by_its_threshold_and_names_what_a_table_lacks(data_folder, published):
     sheet = release_4_sheet(read_stacks(data_folder / "emva1288" / "temporal_ptc.csv"))
     found = {name: float(value) for name, value in sheet.linear.values.items()}
     same = {"system_gain": "K", "responsivity": "R", "read_noise": "sigma_d", "snr_max": "SNR_max"}
@@ -88,8 +88,8 @@ def test_release_4_differs_by_its_threshold_and_says_what_a_table_lacks(data_fol
     assert 0 < found["linearity_error"] < max(map(abs, sizes))
     linear, general = sections(sheet)
     assert "pixels" in linear.estimate("prnu_col").reason
-    # Without a model: as many electrons as the signal to noise needs, which the standard's K,
-    # a line through a curve, puts 2.6 % lower.
+    # The bound without a model is the number of electrons that the SNR needs. The standard's K, a
+    # line through a curve, gives 2.6 % less.
     bound = general.estimate("efficiency_bound")
     assert bound.value is not None
     np.testing.assert_allclose(bound.value, published["QE"], rtol=0.03)
@@ -97,12 +97,12 @@ def test_release_4_differs_by_its_threshold_and_says_what_a_table_lacks(data_fol
 
 
 @pytest.mark.slow
-def test_three_published_figures_are_mended(calibration, published):
+def test_three_published_values_are_corrected(calibration, published):
     values = calibration.standard.values
     # The sheet's decibels are 20 ln of the ratio instead of 20 log10.
     for ours, theirs in (("snr_max_db", "SNR_max_dB"), ("dynamic_range_db", "DR_dB")):
         np.testing.assert_allclose(values[ours], published[theirs] / np.log(10), rtol=1e-6)
-    # Its dark current from the variance is the square root of slope / K^2, in no unit; later
+    # Its dark current from the variance is the square root of slope / K^2, which has no unit. Later
     # versions of the reference code dropped the root.
     np.testing.assert_allclose(
         values["dark_current_variance"], published["u_I_var"] ** 2, rtol=1e-5
@@ -110,7 +110,7 @@ def test_three_published_figures_are_mended(calibration, published):
 
 
 @pytest.mark.slow
-def test_what_sums_cannot_give_is_not_given(calibration):
+def test_results_that_need_pixels_are_not_given_for_sums(calibration):
     section = noise_section(calibration)
     for name in ("dsnu", "prnu"):
         estimate = find(section.estimates, name)
@@ -119,15 +119,15 @@ def test_what_sums_cannot_give_is_not_given(calibration):
 
 
 @pytest.mark.slow
-def test_the_non_linearity_is_noticed_and_explained(calibration):
+def test_the_nonlinearity_is_detected_and_explained(calibration):
     linear, chosen = calibration.linear, calibration.chosen
     assert linear.chi_square / linear.degrees > 30
     assert chosen.chi_square / chosen.degrees < 1.3
     assert chosen.p_value > 0.01
     bend = float(chosen.values["compression"]) / chosen.errors["compression"]
     assert bend > 10
-    # Straight from the file: the first levels' shot variance over signal, 0.288, to the last's,
-    # 0.280, against the K of both methods.
+    # From the file: the shot variance over signal falls from 0.288 in the first levels to 0.280 in
+    # the last, compared with K of both methods.
     gain = find(calibration.sheet, "system_gain")
     assert 0.287 < gain.value < 0.294
     standard, error = (
@@ -152,7 +152,8 @@ def test_dark_current_by_mean_variance_and_likelihood_agree(calibration):
 
 @pytest.mark.slow
 def test_the_written_camera_predicts_its_own_levels(calibration, measurement, tmp_path):
-    """Without the compression and the light offset of the file, means are up to 65 DN off."""
+    """Without the compression and the light offset in the file, the means are wrong by up to 65
+    DN."""
     prediction = predict_own_frames(calibration)
     kept_out, whole = prediction.comparisons
     assert len(whole.lit.lit) == 35 + 50
@@ -169,7 +170,8 @@ def test_the_written_camera_predicts_its_own_levels(calibration, measurement, tm
 
 
 @pytest.mark.slow
-def test_the_curve_that_the_published_sheet_lacks_is_named(measurement):
-    """The sheet is of a linear camera, and the measured response bends by 41 standard errors."""
+def test_the_nonlinearity_that_the_published_sheet_lacks_is_named(measurement):
+    """The sheet is of a linear camera, and the measured response is nonlinear by 41 standard
+    errors."""
     prediction = predict(read_camera("emva1288").sensor, measurement)
     assert any("a response that is not linear" in one.clause for one in prediction.missing)

@@ -1,10 +1,9 @@
-"""Llanos' camera, seven narrow bands and 24 patches of known reflectance: sensitivities fitted to
-one half of the patches, against readings of the other half.
+"""Tests Llanos' camera with seven narrow bands and 24 patches of known reflectance: sensitivities
+fitted to half of the patches predict the readings of the other half.
 
-The lamp's spectrum and its shading in each band are unknown. Both cancel in the share that a
-channel has in the reading of all channels, for a patch and a band. Shares are readings of light of
-the spectrum filter times reflectance, by sensitivities whose sum over the channels is 1.
-"""
+The lamp's spectrum and its shading in each band are unknown. Both cancel in the share of each
+channel in the sum of all channels, for a patch and a band. Shares are readings of light with the
+spectrum filter times reflectance, for sensitivities whose sum over the channels is 1."""
 
 import re
 
@@ -15,19 +14,19 @@ from PIL import Image
 from fitting import sensitivities
 
 NM = np.arange(380, 721, 5)
-CORNERS = np.array([[57, 61], [57, 350], [218, 74], [217, 334]])  # of centres: row, column
+CORNERS = np.array([[57, 61], [57, 350], [218, 74], [217, 334]])  # centres: row, column
 HALF = 11  # pixels, half of the side that is read
 SITES = {"green": [(0, 0), (1, 1)], "blue": [(0, 1)], "red": [(1, 0)]}
-HIGHEST = 250  # DN, of a pixel that is not clipped
-CODE_ERROR = 0.3  # DN, of a mean of codes without dither
-FLOOR = 0.03  # of the spectrometer, relative to a filter's peak; light there would change shares
+HIGHEST = 250  # DN, for unclipped pixels
+CODE_ERROR = 0.3  # DN, of a mean of undithered codes
+FLOOR = 0.03  # spectrometer noise relative to a filter's peak, which would change shares
 STRAY = 0.004  # of the light of all channels
 LINEARITY = 0.02  # published: .1 to 4 %
 
 
 def shares(folder):
-    """Shares of red, green and blue (bands, 24, 3), their standard deviations, and the light
-    (bands, 24, wavelengths)."""
+    """Return the shares of red, green and blue (bands, 24, 3), their standard deviations, and the
+    light (bands, 24, wavelengths)."""
     table = np.genfromtxt(folder / "spectra_averaged.csv", delimiter=",", skip_header=1)
     at = table[:, 0]
     spectra = np.array([np.interp(NM, at, column) for column in np.maximum(table[:, 1:].T, 0)])
@@ -66,7 +65,8 @@ def shares(folder):
 
 @pytest.mark.slow
 def test_readings_of_other_patches_are_predicted(data_folder):
-    """From 450 nm on: at 400 nm the brightest patch reads 19 DN, most of it stray light."""
+    """The test starts at 450 nm, because at 400 nm the brightest patch reads 19 DN, mostly stray
+    light."""
     share, sd, light = (x[1:] for x in shares(data_folder / "llanos_bandpass"))
     fitted = np.arange(24) % 2 == np.arange(24) // 6 % 2
     one = [x[:, fitted].reshape(-1, x.shape[-1]) for x in (share, light, sd)]

@@ -1,4 +1,5 @@
-"""The published measurements: what their tables must say, and the renderer that reads them too."""
+"""Tests the published measurements: properties of their tables, and Mitsuba, which also reads
+them."""
 
 from functools import partial
 
@@ -21,7 +22,7 @@ evaluate = jax.jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
 
 @pytest.fixture(scope="module")
 def rgl(data_folder):
-    """The three materials of the database."""
+    """Return three materials of the database."""
     return {
         name: files.read_rgl(data_folder / "brdf_rgl" / f"{name}_rgb.bsdf") for name in RGL_FILES
     }
@@ -29,7 +30,7 @@ def rgl(data_folder):
 
 @pytest.fixture(scope="module")
 def cornell(data_folder):
-    """The two paints: samples, and the tables made of them."""
+    """Return the two paints: their samples, and tables made of them."""
     samples = {
         name: files.read_cornell(data_folder / "brdf_cornell" / f"{name}.brdf")
         for name in ("garnet_red", "acryl_blue")
@@ -43,7 +44,7 @@ def slanted(theta):
 
 @pytest.mark.slow
 def test_albedo_of_white_paper(rgl):
-    """The figures published beside the data: .82-.86 in red, .83-.87 in green."""
+    """The published albedo is .82-.86 in red and .83-.87 in green."""
     directions, solid = product_nodes(64, 128)
     for theta in (0.0, 0.5, 1.0):
         integral = solid @ np.asarray(shading(rgl["paper_white"], directions, slanted(theta)))
@@ -58,7 +59,7 @@ def test_albedo_of_white_paper(rgl):
     [("paper_white", 0.02, 0.1), ("satin_rosaline", 0.05, 0.3), ("vch_golden_yellow", 0.1, 0.5)],
 )
 def test_reciprocity_of_the_measurement(rgl, name, median, worst):
-    """|f(a, b) - f(b, a)| over their mean, both elevations below 60 degrees."""
+    """|f(a, b) - f(b, a)| is compared with their mean, for polar angles below 60 degrees."""
     rng = np.random.default_rng(0)
     wi, wo = (oracle.directions(rng, 2000, highest=np.pi / 3) for _ in range(2))
     one, other = evaluate(rgl[name], wi, wo)[:, 1], evaluate(rgl[name], wo, wi)[:, 1]
@@ -69,9 +70,9 @@ def test_reciprocity_of_the_measurement(rgl, name, median, worst):
 
 
 @pytest.mark.slow
-def test_draws_weigh_little_more_than_the_albedo(rgl):
-    """The warp is made of the data: f_r cos(theta_i) / pdf stays within a factor of 2.5 of its
-    mean, where draws from the cosine vary many times more on the satin film."""
+def test_weights_of_draws_vary_little(rgl):
+    """The sampler uses the data, so f_r cos(theta_i) / pdf is within a factor of 2.5 of its mean.
+    Cosine-distributed draws vary many times more on the satin film."""
     u = jnp.asarray(np.random.default_rng(1).random((20_000, 3)))
     draw = jax.jit(jax.vmap(brdf.sample, (None, None, 0)))
     density = jax.jit(jax.vmap(brdf.pdf, (None, 0, None)))
@@ -86,8 +87,8 @@ def test_draws_weigh_little_more_than_the_albedo(rgl):
 
 
 @pytest.mark.slow
-def test_cornell_files_hold_what_the_goniometer_did(cornell):
-    """1439 samples of 31 bands, 10 to 80 degrees of incidence."""
+def test_cornell_files_contain_the_goniometers_samples(cornell):
+    """There are 1439 samples of 31 bands, at 10 to 80 degrees of incidence."""
     for samples, _ in cornell.values():
         assert samples.values.shape == (1439, 31)
         np.testing.assert_allclose(samples.wavelengths, np.arange(400, 701, 10) * 1e-9)
@@ -100,8 +101,9 @@ def test_cornell_files_hold_what_the_goniometer_did(cornell):
 
 
 @pytest.mark.slow
-def test_tables_of_the_paints_return_their_samples(cornell):
-    """Cube-root error, cosine-weighted, of the table at the samples it was made of."""
+def test_tables_of_the_paints_reproduce_their_samples(cornell):
+    """The error is the RMS of cube roots, cosine-weighted, at the samples of which the table was
+    made."""
     for name, (samples, table) in cornell.items():
         found = np.asarray(evaluate(table, *sample_directions(samples)))
         cosines = np.cos(np.asarray(samples.theta_i)) * np.cos(np.asarray(samples.theta_o))
@@ -114,8 +116,8 @@ def test_tables_of_the_paints_return_their_samples(cornell):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "part"), [("garnet_red", 0.7), ("acryl_blue", 0.25)])
-def test_an_angle_of_incidence_left_out_is_predicted(cornell, name, part):
-    """The samples at 60 degrees from those at the seven others, by the table."""
+def test_a_held_out_angle_of_incidence_is_predicted(cornell, name, part):
+    """The table predicts the samples at 60 degrees from those at the seven other angles."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     samples, _ = cornell[name]
@@ -144,7 +146,7 @@ def test_an_angle_of_incidence_left_out_is_predicted(cornell, name, part):
 
 
 def mitsuba_values(path, wi, wo):
-    """(f_r cos(theta_i), pdf) of Mitsuba's `measured` plugin, pair by pair."""
+    """Return (f_r cos(theta_i), pdf) of Mitsuba's `measured` plugin, pair by pair."""
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path)})
@@ -183,7 +185,7 @@ def test_rgl_agrees_with_mitsuba(data_folder, name):
 
 @pytest.mark.parametrize("sectors", [4, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
 def test_anisotropic_tables_agree_with_mitsuba(tmp_path, sectors):
-    """On made-up tables whose azimuths span a turn, half of one or a quarter."""
+    """The tables are invented, with azimuths that span a turn, half or a quarter of one."""
     phi = np.linspace(-np.pi, -np.pi + 2 * np.pi / sectors, 5)
     path = tmp_path / "m.bsdf"
     path.write_bytes(oracle.tensor_bytes(oracle.rgl_fields(np.random.default_rng(3), phi=phi)))

@@ -1,5 +1,5 @@
-"""Lobes fitted to the Cornell paints and the RGL materials: who wins, and whether the amplitudes
-are what the paint looks like."""
+"""Tests lobes fitted to the Cornell paints and the RGL materials: which is best, and whether the
+amplitudes match the paints' appearance."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ HALF = ("blinn", "normalised-blinn", "torrance-sparrow-beckmann", "torrance-spar
 
 @pytest.fixture(scope="module")
 def calibrated(data_folder):
-    """Calibrations by name, each made once."""
+    """Return a function that gives each calibration by name, computed once."""
     known = {}
 
     def of(name):
@@ -38,10 +38,10 @@ def least(calibration, models):
 
 
 @pytest.mark.slow
-def test_garnet_red_is_a_coat_of_clear_facets(calibrated):
+def test_garnet_red_is_a_dielectric_coat(calibrated):
     garnet = calibrated("garnet_red")
     assert garnet.model == "torrance-sparrow-beckmann"
-    # 17.7 % against 104 %: mirror lobes cannot rise toward grazing angles as the coat does.
+    # 17.7 % against 104 %: mirror lobes cannot increase towards grazing angles like the coat.
     assert least(garnet, HALF) < 0.25 < 0.8 < least(garnet, MIRROR)
     assert garnet.held_out["torrance-sparrow-metal"].relative > 3 * least(garnet, HALF)
     assert 0.1 < garnet.mean[2] < 0.2
@@ -59,7 +59,7 @@ def test_the_paint_is_red_and_its_coat_has_no_colour(calibrated):
 
 
 @pytest.mark.slow
-def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
+def test_sharp_acryl_does_not_distinguish_the_axes(calibrated):
     acryl = calibrated("acryl_blue")
     errors = [acryl.held_out[m].relative for m in ("phong", "blinn", "gaussian-lobe")]
     np.testing.assert_allclose(errors, errors[0], rtol=1e-2)
@@ -68,7 +68,7 @@ def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
         "by leaving out each incidence in turn: Gaussian lobe (28.3 %), Blinn (28.3 %) and "
         "Torrance-Sparrow (GGX, metal) (67.2 %). Some of these have a far larger error here"
     ) in told
-    # Beckmann facets miss 80 degrees, and without it still err twice as much as Phong's lobe.
+    # Beckmann facets fail at 80 degrees, and without it still have twice the error of Phong's lobe.
     useless = told[told.index("With errors larger than the signal") :]
     beckmann = "Torrance-Sparrow (Beckmann) (220 %: 7.76 times the error, 2.08 times without 80°"
     assert beckmann in useless
@@ -77,7 +77,7 @@ def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
 
 
 @pytest.mark.slow
-def test_what_wins_on_five_materials(calibrated):
+def test_the_best_models_of_five_materials(calibrated):
     all_five = [calibrated(name) for name in FILES]
     assert [c.model for c in all_five] == [
         "torrance-sparrow-beckmann",
@@ -92,7 +92,7 @@ def test_what_wins_on_five_materials(calibrated):
     assert "is better on 2 of 5 (garnet red, satin rosaline rgb)" in first
     assert "Torrance-Sparrow (Beckmann) against normalised Phong on garnet red" in first
     assert "the half vector wins 0 of 10 comparisons" in second
-    # Facets win by more than their axis, and the axis alone wins nothing.
+    # Facets differ in more than their axis, and the axis alone brings no improvement.
     assert "neither confirm nor contradict the finding" in second
     assert "garnet red" in third
 
@@ -100,7 +100,7 @@ def test_what_wins_on_five_materials(calibrated):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["satin_rosaline", "golden_yellow"])
 def test_a_finer_grid_changes_no_error(calibrated, data_folder, monkeypatch, name):
-    """The figures are the table's, not the grid's it was read off on."""
+    """The errors do not depend on the grid at which the table is sampled."""
     coarse = calibrated(name)
     monkeypatch.setattr(measured_brdf, "HALF_ELEVATIONS", 44)
     monkeypatch.setattr(measured_brdf, "HALF_AZIMUTHS", 32)

@@ -1,4 +1,4 @@
-"""Debevec & Malik's memorial church: the merged map against the authors' own."""
+"""Tests Debevec & Malik's memorial church: the merged map against the authors' own."""
 
 import numpy as np
 import pytest
@@ -11,15 +11,15 @@ from fitting.response.read import read_exposure_stack
 from fitting.rig import load_rig
 from jaxvision.files.images import read_image
 
-# What OpenCV 5's createCalibrateRobertson and createMergeRobertson reach on this stack, log10 rms
+# Results of OpenCV 5's createCalibrateRobertson and createMergeRobertson on this stack: log10 RMS
 # over the same pixels, each channel at its own scale (Debevec: .102, .166, .145).
 ROBERTSON = (0.0311, 0.0460, 0.0427)
 
 
 @pytest.mark.slow
 def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
-    """Left out: pixels that are registration border (pure blue) in any exposure, and pixels that
-    are 0 in the published map."""
+    """Pixels of the registration border (pure blue) in any exposure, and pixels that are 0 in the
+    published map, are left out."""
     stack = read_exposure_stack(load_rig(write_memorial_rig(data_folder, tmp_path)))
     published = read_image(data_folder / "hdr_memorial" / "memorial.hdr")
     red, green, blue = (plane.codes for plane in stack.planes)
@@ -35,7 +35,7 @@ def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
 
 @pytest.mark.slow
 def test_parts_of_the_stack_agree_within_their_errors(data_folder, tmp_path):
-    """Curves from halves, checkerboards and every other exposure."""
+    """The curves are from halves, checkerboards and every other exposure."""
     stack = read_exposure_stack(load_rig(write_memorial_rig(data_folder, tmp_path)))
     scores, inside = zip(
         *[

@@ -1,4 +1,5 @@
-"""Balls of Phong's model whose pictures are means over pixels, sharp, blurred or sharpened."""
+"""Tests balls of Phong's model in pictures that are means over pixels: sharp, blurred or
+sharpened."""
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ LIGHTS = np.stack([np.sin(TILT) * np.cos(TURN), np.sin(TILT) * np.sin(TURN), np.
 
 
 def linear():
-    """(lights, h, w) DN, each the mean over its pixel."""
+    """Return the linear pictures, (lights, h, w) DN, each pixel a mean over its area."""
     row, column = (np.indices((SIDE * PARTS,) * 2) + 0.5) / PARTS - SIDE / 2
     x, y = column / RADIUS, -row / RADIUS
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
@@ -60,7 +61,7 @@ SITES = {"R": 0.5, "G": 1.0, "B": 0.3}
     ],
 )
 def test_mosaics_without_a_pattern_or_of_another_phase_are_named(pattern, stated, named):
-    """As from a camera whose pictures were cropped by a column."""
+    """The pictures look as if they were cropped by one column."""
     factors = np.array([SITES[colour] for colour in pattern]).reshape(2, 2)
     images = BLACK + linear() * np.tile(factors, (SIDE // 2, SIDE // 2))
     seen = reflectance.from_photographs(
@@ -87,8 +88,8 @@ def test_sharp_pictures_are_not_called_blurred():
 
 
 @pytest.mark.parametrize("size", [0.8, 1.5])
-def test_the_size_of_a_blur_is_measured_and_named(size):
-    """The exponent, 60, is fitted as 47 and 27."""
+def test_the_size_of_a_blur_is_estimated_and_named(size):
+    """The exponent of 60 is fitted as 47 and 27."""
     fit = fitted(gaussian_filter(linear(), (0, size, size)))
     found = area_share(fit.vector, fit.samples, fit.selection.light)
     assert found.blur == pytest.approx(size, rel=0.15)

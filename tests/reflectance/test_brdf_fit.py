@@ -1,8 +1,7 @@
-"""Lobes fitted to measured reflectance: optima against scipy, truths found again, errors of every
-incidence predicted unseen, refusals in words.
+"""Tests lobes fitted to measured reflectance: optima against SciPy, recovery of true values,
+predictions of held-out incidences, and refusals.
 
-Samples are `oracles.brdfs`': NumPy, angles, nothing of the library's.
-"""
+Samples are from `oracles.brdfs`, independent of the library."""
 
 import dataclasses
 import json
@@ -52,7 +51,7 @@ SHAPES = {"exponent": 60.0, "concentration": 6.0, "roughness": 0.3}
 
 
 def oracle(model, wi, wo, kd, ks, shape):
-    """f_r of one pair of directions by `oracles.brdfs`, one band per amplitude."""
+    """Return f_r of one pair of directions by `oracles.brdfs`, one band per amplitude."""
     k = {"kd": kd, "ks": ks}
     index = {"eta": [INDEX] * len(kd), "k": [0.0] * len(kd)}
     facets = {"alpha": (shape, shape), **k}
@@ -74,7 +73,7 @@ def oracle(model, wi, wo, kd, ks, shape):
 
 
 def angles():
-    """Five incidences, 40 viewers each, a third of them near the mirror direction."""
+    """Return five incidences with 40 views each, a third of them near the mirror direction."""
     rng = np.random.default_rng(0)
     theta_i = np.repeat(np.radians([10.0, 25, 40, 55, 70]), 40)
     theta_o, phi_o = rng.uniform(0.02, 1.3, 200), rng.uniform(-np.pi, np.pi, 200)
@@ -90,7 +89,7 @@ def directions(theta, phi):
 
 
 def samples_of(model, *, noise=0.0, seed=1):
-    """Samples of a model with relative noise, as a Cornell file would hold them."""
+    """Return samples of a model with relative noise, as in a Cornell file."""
     theta_i, phi_i, theta_o, phi_o = angles()
     shape = None if model == "lambert" else SHAPES[REFLECTANCES[model].shape.name]
     values = np.array(
@@ -119,27 +118,28 @@ def calibration(noisy_phong):
 
 
 def error_of(relative):
-    """Errors of five incidences that weigh alike."""
+    """Return errors of five incidences with equal weights."""
     parts = np.full((5, 2), relative**2 / 5)
     return Errors(relative, relative, relative, np.full(5, relative), parts)
 
 
 def errors_of(*by_incidence):
-    """Errors whose squares, by incidence, are a fifth of those given; five incidences."""
+    """Return errors of five incidences, whose squares are a fifth of the given ones."""
     parts = np.array(by_incidence) ** 2 / 5
     whole = np.sqrt(parts.sum())
     return Errors(whole, whole, whole, np.array(by_incidence), np.stack([parts, parts], axis=1))
 
 
 def verdict_of(calibration, **special):
-    """The first sentences, Phong erring by 10 % at each incidence, others at 99 %, but some."""
+    """Return the first sentences for errors of 10 % of Phong at each incidence and 99 % of others,
+    except the given ones."""
     held_out = {m: error_of(0.1 if m == "phong" else 0.99) for m in MODELS} | special
     return findings(dataclasses.replace(calibration, held_out=held_out))[0]
 
 
 @pytest.mark.slow
-def test_why_a_model_of_far_larger_error_is_not_told_apart(calibration):
-    """One incidence makes all the difference, and is named."""
+def test_a_much_larger_error_that_depends_on_one_incidence_is_explained(calibration):
+    """One incidence causes the whole difference, and is named."""
     told = verdict_of(calibration, blinn=errors_of(0.1, 0.1, 0.1, 0.1, 2))
     assert "Not significantly worse, by leaving out each incidence in turn: Blinn (89.9 %)." in told
     assert (
@@ -150,10 +150,11 @@ def test_why_a_model_of_far_larger_error_is_not_told_apart(calibration):
 
 
 @pytest.mark.slow
-def test_a_model_is_worse_where_only_the_size_of_its_excess_is_open(monkeypatch, calibration):
-    """Without 70 degrees it errs 2.5 times as much, without another sqrt((3 * 0.25^2 + 2^2) / 4) /
-    0.1 = 10.23 times: how far depends on one incidence, that it errs more does not. Five of five
-    have a chance of 2 / 2^5 = .0625, above the 5 % of the intervals: not called worse."""
+def test_a_model_can_be_worse_by_an_uncertain_amount(monkeypatch, calibration):
+    """Without 70 degrees the error is 2.5 times as large, and without another sqrt((3 * 0.25^2 +
+    2^2) / 4) / 0.1 = 10.23 times. The size depends on one incidence, but not the sign. Five of five
+    have a probability of 2 / 2^5 = .0625, above the 5 % of the intervals, so the model is not
+    called worse."""
     special = {"blinn": errors_of(0.25, 0.25, 0.25, 0.25, 2)}
     told = verdict_of(calibration, **special)
     assert "Worse at significantly" not in told
@@ -167,8 +168,8 @@ def test_a_model_is_worse_where_only_the_size_of_its_excess_is_open(monkeypatch,
     ) in told
 
 
-def test_the_chance_of_a_verdict_is_that_of_the_intervals():
-    """Six of six: 2 / 2^6 = .031, below 5 %; seven of eight: 18 / 2^8 = .070, above."""
+def test_the_probability_of_a_verdict_matches_that_of_the_intervals():
+    """For six of six it is 2 / 2^6 = .031, below 5 %; for seven of eight 18 / 2^8 = .070, above."""
     parts = np.full((6, 2), 0.01 / 6)
     one, six = (Errors(e, e, e, np.full(6, e), parts * (e / 0.1) ** 2) for e in (0.1, 0.25))
     assert ratio(six, one, "cosine").chance == pytest.approx(2 / 2**6)
@@ -183,8 +184,9 @@ def test_the_chance_of_a_verdict_is_that_of_the_intervals():
 
 
 @pytest.mark.slow
-def test_what_misses_more_than_the_signal_is_never_as_good_as_what_does_not(calibration):
-    """As good as the best without 70 degrees, but worse in all than no reflectance: 134 %."""
+def test_a_model_with_errors_beyond_the_signal_never_counts_as_equal(calibration):
+    """The model equals the best one without 70 degrees, but overall its error of 134 % is larger
+    than the signal."""
     told = verdict_of(calibration, blinn=errors_of(0.1, 0.1, 0.1, 0.1, 3))
     assert "Not significantly worse" not in told
     assert (
@@ -195,8 +197,9 @@ def test_what_misses_more_than_the_signal_is_never_as_good_as_what_does_not(cali
 
 
 @pytest.mark.slow
-def test_the_axes_of_a_pair_stand_as_their_errors_do(calibration):
-    """Told, of an order but no size, useless either or both, and open."""
+def test_the_axes_of_a_pair_are_compared_by_their_errors(calibration):
+    """The cases are: distinguished, ordered but of uncertain size, one or both useless, and
+    undecided."""
     cases = [
         (errors_of(0.1, 0.1, 0.1, 0.1, 0.1), "Blinn beats Phong (10 % against 20 %)"),
         (
@@ -227,8 +230,8 @@ def test_the_axes_of_a_pair_stand_as_their_errors_do(calibration):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("model", MODELS)
-def test_every_model_is_found_again(model):
-    """Without noise nothing is left over, whichever incidence was left out."""
+def test_every_model_is_recovered(model):
+    """Without noise there are no residuals, whichever incidence was left out."""
     fit = fit_model(measured(model), model, index=INDEX)
     lobe = REFLECTANCES[model].axis != "none"
     for found in (fit.whole, *fit.without):
@@ -242,8 +245,8 @@ def test_every_model_is_found_again(model):
 
 
 @pytest.mark.parametrize("objective", ["cosine", "cube-root"])
-def test_the_optimum_is_scipys(noisy_phong, objective):
-    """Blinn's lobe on Phong's samples: residuals that are no noise."""
+def test_the_optimum_equals_scipys(noisy_phong, objective):
+    """Blinn's lobe is fitted to Phong's samples, so residuals are not noise."""
     fit = fit_model(noisy_phong, "blinn", objective=objective, index=INDEX)
     wi, wo = (
         np.stack([np.asarray(c) for c in (v.x, v.y, v.z)]) for v in (noisy_phong.wi, noisy_phong.wo)
@@ -268,8 +271,9 @@ def test_the_optimum_is_scipys(noisy_phong, objective):
     np.testing.assert_allclose(found, reference.x, atol=5e-3)
 
 
-def test_amplitudes_stay_positive_and_bands_share_one_shape():
-    """Against scipy's NNLS at the shape that was found, a band of which wants less than nothing."""
+def test_amplitudes_are_positive_and_bands_share_one_shape():
+    """The reference is SciPy's NNLS at the fitted shape, with one band whose optimum is
+    negative."""
     rng = np.random.default_rng(2)
     x = np.linspace(0, 3, 80)
     y = np.stack([1 + 2 * np.exp(-2 * x), 0.3 - np.exp(-2 * x), 3 * np.exp(-2 * x)], axis=1)
@@ -293,10 +297,10 @@ def test_amplitudes_stay_positive_and_bands_share_one_shape():
     np.testing.assert_allclose(found.cost, total, rtol=1e-9)
 
 
-def test_a_held_out_incidence_does_not_touch_the_fit_that_predicts_it(noisy_phong):
+def test_a_held_out_incidence_does_not_affect_its_prediction(noisy_phong):
     samples = samples_of("phong", noise=0.05)
     own = noisy_phong.incidence == 2
-    other = 7 + np.arange(len(own))[:, None] / 100  # not all alike, as clipped ones are
+    other = 7 + np.arange(len(own))[:, None] / 100  # not all equal, as clipped ones are
     values = np.where(own[:, None], other, np.asarray(samples.values))
     changed = BRDFSamples(
         *(getattr(samples, n) for n in ("theta_i", "phi_i", "theta_o", "phi_o")),
@@ -312,7 +316,7 @@ def test_a_held_out_incidence_does_not_touch_the_fit_that_predicts_it(noisy_phon
 
 
 def test_metrics_by_hand():
-    """Two bands of a constant error: RMS, relative RMS, cube roots, with unequal weights."""
+    """Two bands with a constant error: RMS, relative RMS and cube roots, with unequal weights."""
     theta = np.repeat(np.radians([0.0, 20, 40, 60]), 6)
     values = np.tile([0.125, 1.0], (24, 1)) / np.cos(theta)[:, None]
     arrays = [jnp.asarray(a) for a in (theta, 0 * theta, theta, 0 * theta, values)]
@@ -325,8 +329,9 @@ def test_metrics_by_hand():
     np.testing.assert_allclose(found.cube_root, np.sqrt((0.5**2 + 1**2) / 2), rtol=1e-12)
 
 
-def test_no_model_wins_by_rounding():
-    """A constant, missed by nothing, by rounding, and by 1e-6 of it: the first two are alike."""
+def test_no_model_is_best_by_rounding():
+    """A constant is predicted exactly, up to rounding, and with an error of 1e-6. The first two
+    count as equal."""
     of = measured("lambert")
     exact, rounded, off = (errors(of, of.values * (1 + e)) for e in (0, 1e-13, 1e-6))
     for name in ("rms", "relative", "cube_root"):
@@ -337,8 +342,8 @@ def test_no_model_wins_by_rounding():
 
 
 @pytest.mark.parametrize("count", [3, 5, 12])
-def test_errors_differ_where_the_jackknife_says_so(count):
-    """Leaving out each incidence in turn, by a loop; the ratio is of the whole errors."""
+def test_errors_differ_significantly_by_the_jackknife(count):
+    """Each incidence is left out in turn, by a loop. The ratio is of the total errors."""
     rng = np.random.default_rng(count)
     both = []
     for excess in np.linspace(0, 3, 60):
@@ -360,8 +365,8 @@ def test_errors_differ_where_the_jackknife_says_so(count):
 
 
 @pytest.mark.slow
-def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
-    # Phong and a Gaussian lobe of c^2 = n / 2 are alike; both are right here.
+def test_the_right_model_is_best_and_its_intervals_cover(calibration):
+    # Phong and a Gaussian lobe of c^2 = n / 2 are similar, and both are right here.
     assert calibration.model in ("phong", "gaussian-lobe")
     assert calibration.held_out["phong"].relative < 0.1
     assert calibration.held_out["torrance-sparrow-beckmann"].relative > 0.15
@@ -374,9 +379,10 @@ def test_the_right_model_wins_and_its_intervals_hold_the_truth(calibration):
     np.testing.assert_allclose(again.amplitudes.diffuse.mean(), again.mean[0])
 
 
-def test_errors_of_amplitudes_are_the_jackknifes_of_a_mean():
-    """Of means with one of six numbers left out the jackknife is the error of the mean, s / sqrt(6)
-    by NumPy, here as wide as Student's t of five degrees of freedom, whose variance is 5 / 3."""
+def test_errors_of_amplitudes_are_jackknife_errors():
+    """For means with one of six numbers left out, the jackknife gives the error of the mean, s /
+    sqrt(6) by NumPy, widened to Student's t with five degrees of freedom, whose variance is 5 /
+    3."""
     numbers = np.random.default_rng(9).uniform(1, 2, (6, 3))
     without = [np.delete(numbers, i, axis=0).mean(axis=0) for i in range(6)]
 
@@ -390,7 +396,8 @@ def test_errors_of_amplitudes_are_the_jackknifes_of_a_mean():
 
 @pytest.mark.slow
 def test_the_precision_of_the_caller_does_not_matter():
-    """In single precision, fits of this material ended up to a third of a standard error away."""
+    """In an earlier version, float32 fits of this material were wrong by up to a third of a
+    standard error."""
     found = []
     for double in (True, False):
         with jax.enable_x64(double):
@@ -403,7 +410,8 @@ def test_the_precision_of_the_caller_does_not_matter():
 
 @pytest.mark.slow
 def test_misfit_widens_the_intervals(calibration):
-    """A model that is wrong moves with the incidences it has seen: its errors say so."""
+    """The estimates of a wrong model depend on the incidences, so its jackknife errors are
+    larger."""
     right = calibrate_brdf(calibration.measured, model="phong")
     wrong = calibrate_brdf(calibration.measured, model="torrance-sparrow-metal")
     widths = [np.sqrt(np.diagonal(c.covariance))[1:] for c in (right, wrong)]
@@ -440,9 +448,9 @@ def test_a_matt_surface_reports_no_lobe():
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
-def test_a_rough_body_contains_the_smooth_one(calibration, objective, noise):
-    """Its range reaches so near to no roughness that its fits to a matt surface cost no more than
-    Lambert's, with hardly any noise or none."""
+def test_a_rough_body_includes_the_smooth_one(calibration, objective, noise):
+    """Its range nearly includes zero roughness, so its fits to a matte surface cost no more than
+    Lambert's, with little noise or none."""
     matt = measured("lambert", noise=noise)
     models = ("lambert", "oren-nayar", "phong")
     fits = {m: fit_model(matt, m, objective=objective, index=INDEX) for m in models}
@@ -454,8 +462,9 @@ def test_a_rough_body_contains_the_smooth_one(calibration, objective, noise):
 
 
 @pytest.mark.slow
-def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
-    """Of the lead over Lambert's 92.4 %, 48 % is lost without: (68.2 - 45.5) / (92.4 - 45.5)."""
+def test_the_gain_by_fresnel_of_facets_is_stated(calibration):
+    """Of the improvement over Lambert's 92.4 %, 48 % is lost without Fresnel's law: (68.2 - 45.5) /
+    (92.4 - 45.5)."""
     values = {"lambert": 0.924, "torrance-sparrow": 0.455, "torrance-sparrow-metal": 0.682}
     held_out = {m: error_of(values.get(m, 0.95)) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
@@ -473,7 +482,7 @@ def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
         (("blinn", "phong"), "confirm only in part, where they are significant, the finding"),
         (("phong", None), "contradict, where they are significant, the finding"),
         ((None, None), "neither confirm nor contradict the finding"),
-        # Facets differ from any lobe about the mirror direction in more than the axis.
+        # Facets differ from mirror-direction lobes in more than the axis.
         (("torrance-sparrow", None), "neither confirm nor contradict the finding"),
         (("torrance-sparrow", "blinn"), "confirm, where they are significant, the finding"),
         (("torrance-sparrow", "phong"), "neither confirm nor contradict the finding"),
@@ -481,7 +490,7 @@ def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
         (("gaussian-lobe", "phong"), "contradict, where they are significant, the finding"),
     ],
 )
-def test_the_axis_alone_is_judged_and_materials_that_do_not_tell_are_no_evidence(
+def test_the_axis_alone_is_judged_and_undecided_materials_do_not_count(
     calibration, winners, judgement
 ):
     told = which_axis_wins(
@@ -505,7 +514,7 @@ def test_two_wins_of_the_axis_alone_need_no_qualification(calibration):
 
 
 def test_best_lobes_that_differ_in_more_than_the_axis_are_named(calibration):
-    """As car paint: facets at 18 %, all else about as far off as no reflectance."""
+    """As for car paint, facets have an error of 18 %, and all others about 100 %."""
     held_out = {m: error_of(0.18 if m == "torrance-sparrow" else 1.04) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
     assert "half vector is better on 1 of 1 (phong). Where lobes differ" in told[0]
@@ -514,7 +523,7 @@ def test_best_lobes_that_differ_in_more_than_the_axis_are_named(calibration):
     )
 
 
-def test_lobes_that_describe_nothing_tell_nothing_about_the_axis(calibration):
+def test_lobes_with_errors_beyond_the_signal_do_not_count_for_the_axis(calibration):
     held_out = {m: error_of(1.1 if "blinn" in m else 1.3) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
     assert "the difference is not significant on 1 of 1" in told[0]
@@ -568,7 +577,8 @@ def with_first(values, value, count=1):
 
 @pytest.mark.parametrize("factor", [1e-7, 1e5])
 def test_the_unit_of_the_values_does_not_matter(factor):
-    """Far from one, within what is taken: the same lobe, its amplitudes and errors times that."""
+    """The unit is far from one, within the accepted range. Amplitudes and errors are scaled by
+    it."""
     samples = samples_of("phong", noise=0.05)
     angles = (samples.theta_i, samples.phi_i, samples.theta_o, samples.phi_o)
     scaled = BRDFSamples(*angles, samples.values * factor, samples.wavelengths)
@@ -597,7 +607,7 @@ def test_the_unit_of_the_values_does_not_matter(factor):
         (lambda v: with_first(v, 0.0, 40), "no value at 10 degrees of incidence is above 1e-09"),
     ],
 )
-def test_useless_values_are_refused(change, expected):
+def test_implausible_values_are_refused(change, expected):
     with pytest.raises(InputError, match=expected):
         from_samples("bad", with_values(change), weights=np.ones(200))
 
@@ -651,9 +661,9 @@ def test_bad_files_and_options_end_in_one_sentence(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_table_is_read_off_by_solid_angle(tmp_path):
-    """A MERL file of f_r = 0.1: every value is that, and the weights of each incidence integrate
-    cos(theta_o) over viewers up to 80 degrees: (1 + cos 80) / 2 of the solid angle."""
+def test_a_table_is_sampled_by_solid_angle(tmp_path):
+    """In a MERL file of f_r = 0.1 every value is 0.1, and the weights of each incidence integrate
+    cos(theta_o) over views up to 80 degrees: (1 + cos 80) / 2 of the solid angle."""
     write_merl(tmp_path / "grey.binary", HalfDifferenceTable(jnp.full((6, 6, 12, 3), 0.1)))
     read = read_measured_brdf(tmp_path / "grey.binary")
     np.testing.assert_allclose(read.values, 0.1, rtol=1e-6)
@@ -669,7 +679,7 @@ def test_the_command_offers_every_model():
     assert set(get_args(cli.Model)) == set(MODELS)
 
 
-def test_a_cornell_file_comes_back_as_it_was_written(tmp_path):
+def test_a_cornell_file_is_read_back(tmp_path):
     write_cornell(tmp_path / "paint.brdf", samples_of("phong"))
     read = read_measured_brdf(Path(tmp_path / "paint.brdf"))
     np.testing.assert_allclose(read.values, samples_of("phong").values, rtol=1e-12)
@@ -678,8 +688,9 @@ def test_a_cornell_file_comes_back_as_it_was_written(tmp_path):
     assert np.all((read.azimuth >= 0) & (read.azimuth <= np.pi))
 
 
-def test_a_fit_that_did_not_move_is_said(calibration):
-    """A search that stood still, and a lobe above the matt surface that it contains."""
+def test_a_fit_that_did_not_move_is_reported(calibration):
+    """One search stopped at its start, and one lobe costs more than the matte surface that it
+    includes."""
     phong = calibration.fits["phong"]
     worse = dataclasses.replace(phong.whole, cost=2 * calibration.fits["lambert"].whole.cost)
     still = dataclasses.replace(phong.without[0], converged=False)
@@ -693,7 +704,7 @@ def test_a_fit_that_did_not_move_is_said(calibration):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["oren-nayar", "phong", "gaussian-lobe", "blinn"])
-def test_no_model_ends_above_the_matt_one_it_contains(noisy_phong, model):
+def test_no_model_costs_more_than_the_matte_one_it_includes(noisy_phong, model):
     fits = [
         fit_model(noisy_phong, m, objective="cube-root", index=INDEX) for m in ("lambert", model)
     ]

@@ -1,4 +1,5 @@
-"""Models compared by light: paired differences against a simulation, and what is said of them."""
+"""Tests comparisons of models by light: paired differences against simulation, and their
+verdicts."""
 
 import numpy as np
 import pytest
@@ -20,13 +21,13 @@ def score(model, by_light, *, channel="grey", bic=0.0):
 
 
 def lights(rng, count, error):
-    """Squared errors that lights share, 30 % from light to light, over a signal of 1."""
+    """Return squared errors with 30 % of variation shared between lights, for a signal of 1."""
     shared = 1 + 0.3 * rng.standard_normal(count)
     return np.stack([(error * shared) ** 2, np.ones(count)], axis=1)
 
 
-def test_the_error_of_a_difference_is_that_of_many_repeats():
-    """Both models err alike on a hard light, which the pairing takes out."""
+def test_the_error_of_a_difference_equals_that_of_repeats():
+    """Both models have similar errors in each light, which pairing removes."""
     found, values = [], []
     for seed in range(300):
         rng = np.random.default_rng(seed)
@@ -41,7 +42,7 @@ def test_the_error_of_a_difference_is_that_of_many_repeats():
     assert np.mean(found) == pytest.approx(np.std(values), rel=0.15)
 
 
-def test_one_light_tells_nothing():
+def test_one_light_is_uninformative():
     rng = np.random.default_rng(0)
     one, other = (score(m, lights(rng, 1, e)) for m, e in (("phong", 0.1), ("lambert", 0.2)))
     assert difference(one, other).half_width == np.inf
@@ -49,7 +50,7 @@ def test_one_light_tells_nothing():
     assert "One light does not show" in verdict((one, other), 1)
 
 
-def test_what_is_said_is_what_the_lights_show():
+def test_the_verdict_agrees_with_the_lights():
     rng = np.random.default_rng(1)
     best = lights(rng, 16, 0.07)
     close = best * [1 + 0.02 * rng.standard_normal((16, 1))[:, 0].mean(), 1.0]
@@ -71,8 +72,9 @@ def test_what_is_said_is_what_the_lights_show():
     assert " (grey), 75 % below the 30.0 % of Lambert. The next" in apart
 
 
-def test_a_difference_of_few_lights_counts_from_more_standard_errors():
-    """3.7 of them are chance with three lights: Student's t with two degrees of freedom."""
+def test_a_difference_of_few_lights_needs_more_standard_errors():
+    """3.7 standard errors are insignificant for three lights: Student's t with two degrees of
+    freedom."""
     best = np.stack([[0.010, 0.012, 0.011], np.ones(3)], axis=1)
     close = best * [[1.02, 1.0], [1.01, 1.0], [1.05, 1.0]]
     scores = (score("lambert", best * [9, 1]), score("phong", close), score("blinn", best))
@@ -84,8 +86,9 @@ def test_a_difference_of_few_lights_counts_from_more_standard_errors():
     ) in verdict(scores, 3)
 
 
-def test_what_solvers_leave_open_is_no_difference():
-    """An error that differs by 1e-8 of itself, always to one side: the first fitted is named."""
+def test_differences_within_solver_tolerance_do_not_count():
+    """The errors differ by 1e-8 of themselves, always in one direction. The first fitted model is
+    named."""
     rng = np.random.default_rng(2)
     best = lights(rng, 6, 0.02)
     rounded = best * [1 + 2e-8, 1.0] * np.linspace(1, 1 + 1e-9, 6)[:, None]
@@ -99,8 +102,8 @@ def test_what_solvers_leave_open_is_no_difference():
     assert "Phong (the same)." in told
 
 
-def test_the_model_that_surpasses_another_is_found():
-    """By unseen lights where they tell, else by a decisive BIC, else not at all."""
+def test_a_better_model_is_found():
+    """It is found by held-out lights if they decide, else by a decisive BIC, else not at all."""
     rng = np.random.default_rng(1)
     best, own = lights(rng, 16, 0.07), 1 + 0.1 * rng.standard_normal(16)
     near, far = best * np.stack([own / own.mean(), np.ones(16)], axis=1), lights(rng, 16, 0.3)
@@ -134,9 +137,10 @@ def test_predictions_are_paired_by_incidence():
     assert not ratio(of(base), of(base * (1 + 1e-7)), "cosine").significant
 
 
-def test_the_error_that_is_shown_is_the_one_that_is_judged():
-    """Three times the whole error, whichever incidence is left out, though incidences of hardly any
-    weight favour the worse one; and seven times, which hangs on one incidence."""
+def test_the_stated_error_is_the_one_that_is_judged():
+    """The ratio is three times the whole error whichever incidence is left out, although incidences
+    with tiny weights favour the worse model. In the other case it is seven times, and depends on
+    one incidence."""
     good = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1.0, 1.2, 0.9, 1.1])
     bad = np.array([1e-8, 1e-8, 1e-8, 1e-8, 10.0, 10.5, 9.5, 9.0])
     assert ratio(of(good), of(bad), "cosine").significant
@@ -147,8 +151,8 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
     assert not hangs.significant
 
 
-def test_an_order_may_be_sure_where_its_size_is_not():
-    """Roots of 4 and of (4 * 4 + 400) / 5 times as much."""
+def test_an_order_can_be_significant_without_its_size():
+    """The ratios are the roots of 4 and of (4 * 4 + 400) / 5."""
     base = np.ones(6)
     sure = ratio(of([4, 4, 4, 4, 4, 400]), of(base), "cosine")
     np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(416 / 5)])
@@ -173,7 +177,7 @@ def test_an_order_may_be_sure_where_its_size_is_not():
 @pytest.mark.sweep
 @pytest.mark.parametrize("incidences", [5, 8, 15])
 def test_equal_models_are_seldom_ordered(incidences):
-    """Errors of two models that scatter alike about those of each incidence."""
+    """Errors of the two models scatter equally about those of each incidence."""
     rng, found = np.random.default_rng(2), []
     for _ in range(1000):
         base = np.exp(1.5 * rng.standard_normal(incidences))
@@ -186,7 +190,7 @@ def test_equal_models_are_seldom_ordered(incidences):
     assert np.mean(found) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 1000)
 
 
-def test_errors_beyond_the_signal_are_those_of_a_relative_metric():
+def test_errors_beyond_the_signal_need_a_relative_metric():
     assert exceeds_signal(of([0.5, 0.6]), "cosine")
     assert not exceeds_signal(of([0.5, 0.4]), "cosine")
     assert not exceeds_signal(of([0.5, 0.6]), "cube-root")

@@ -1,4 +1,4 @@
-"""Materials of a calibration in files, their draws beside them."""
+"""Tests files of calibrated materials with their draws."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,7 @@ from jaxvision import Phong, Vec, read_material
 from jaxvision.brdf import shading
 
 RNG = np.random.default_rng(6)
-COSINE, TILT = 0.8, 0.6  # of the light; the view lies along the normal
+COSINE, TILT = 0.8, 0.6  # of the light; the view is along the normal
 
 
 def posterior(labels):
@@ -27,7 +27,7 @@ def shaded(material):
     return np.asarray(shading(material, wi, wo))
 
 
-def test_a_fitted_phong_shades_as_the_equation_says(tmp_path):
+def test_a_fitted_phong_shades_by_its_equation(tmp_path):
     found = posterior(["diffuse", "specular", "exponent", "gamma"])
     (name, write), = material_files({"grey": ("phong", 1.5, found)}).items()  # fmt: skip
     write(tmp_path / f"{name}.toml")

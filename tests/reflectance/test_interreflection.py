@@ -1,5 +1,5 @@
-"""Normals of hollows whose parts light each other: a bowl, whose interreflection has a closed form,
-and a groove, whose interreflection is an integral over the other plate."""
+"""Tests normals of hollows with interreflection: a bowl, where it has a closed form, and a groove,
+where it is an integral over the other plate."""
 
 import numpy as np
 import pytest
@@ -12,16 +12,17 @@ CAP = np.radians(60)
 
 
 def hemisphere(count, lowest):
-    """Unit directions, evenly over the upper hemisphere down to z = lowest."""
+    """Return unit directions, uniform over the upper hemisphere down to z = lowest."""
     i = np.arange(count) + 0.5
     z, turn = lowest + (1 - lowest) * i / count, np.pi * (1 + np.sqrt(5)) * i
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
 
 
 def bowl(lights, albedo, size=30):
-    """Readings over white, and normals, of the inside of a sphere to 60 degrees. A form factor in a
-    sphere is a share of its area, so all points receive albedo F / (1 - albedo F) of the mean
-    direct irradiance, F = 1/4 being the cap's share."""
+    """Return readings relative to white, and normals, of the inside of a sphere to 60 degrees.
+
+    A form factor in a sphere is a share of its area, so all points receive albedo F / (1 - albedo
+    F) of the mean direct irradiance, with F = 1/4, the cap's share."""
 
     def direct(normals):
         cosine = lights @ normals.T
@@ -39,9 +40,11 @@ def bowl(lights, albedo, size=30):
 
 
 def seen_plate(along, y, length):
-    """Form factors from points of a plate to cells of a plate at right angles to it, which touch at
-    along = 0, and the middles of the cells. Integrated along the edge in closed form, and across
-    it by Gauss and Legendre's rule in panels that halve toward the edge."""
+    """Return form factors from points of a plate to cells of a perpendicular plate, which touch at
+    along = 0, and the centres of the cells.
+
+    The integral along the edge has a closed form. Across the edge it is by Gauss-Legendre
+    quadrature in panels that halve towards it."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     ends = np.r_[0, 2.0 ** np.arange(-5, 1)]
     place = ((ends[1:] + ends[:-1])[:, None] / 2 + np.diff(ends)[:, None] / 2 * nodes).ravel()
@@ -57,10 +60,10 @@ def seen_plate(along, y, length):
 
 
 def groove(lights, albedo, size=30):
-    """Readings over white, and normals, of two plates at right angles, of width 1 and length
-    sqrt(2), all lit by all lights."""
+    """Return readings relative to white, and normals, of two perpendicular plates of width 1 and
+    length sqrt(2), lit by all lights."""
     x = (np.arange(size) + 0.5) / size * 2 - 1
-    normal = np.sqrt(0.5) * np.array([[1.0, 0, 1], [-1, 0, 1]])  # of the left and the right plate
+    normal = np.sqrt(0.5) * np.array([[1.0, 0, 1], [-1, 0, 1]])  # of the left and right plates
     direct = lights @ normal.T
     assert (direct > 0).all()
     where = np.abs(np.tile(x, size)), np.repeat(-x, size) / np.sqrt(2)
@@ -77,7 +80,7 @@ def groove(lights, albedo, size=30):
 
 
 def covered(scene, albedo, count, lowest, white=None, seed=3, size=30, **options):
-    """The share of normals in their cones, the median error in degrees, and the result."""
+    """Return the share of normals in their cones, the median error in degrees, and the result."""
     lights = hemisphere(count, lowest)
     read, normals = scene(lights, albedo, size)
     images = 1000 * read / albedo + np.random.default_rng(seed).normal(0, 2, read.shape)
@@ -93,19 +96,20 @@ def test_slopes_are_integrated_to_heights_of_a_sphere():
     normals = np.stack([-u, v, np.sqrt(1 - u**2 - v**2)], axis=-1)
     height = _integrated(normals, np.ones((24, 24), bool), 1)[0]
     off = height + 20 * normals[..., 2]
-    assert np.ptp(off) < 0.02  # of 12 pixels of depth
-    assert exchange_of(normals * [-1, -1, 1]) is None  # convex
+    assert np.ptp(off) < 0.02  # for 12 pixels of depth
+    assert exchange_of(normals * [-1, -1, 1]) is None  # it is convex
 
 
 @pytest.mark.slow
-def test_form_factors_in_a_sphere_are_shares_of_its_area():
+def test_form_factors_in_a_sphere_are_its_area_shares():
     normals = bowl(hemisphere(3, 0.5), 0.5, 40)[1]
     received = exchange_of(normals).irradiance(np.ones((1, 40, 40)))[0]
     np.testing.assert_allclose(received[np.isfinite(normals[..., 0])], 0.25, atol=0.012)
 
 
-def test_the_simulated_plates_exchange_the_light_of_squares_at_right_angles():
-    """.20004 of each other's light, by a closed form of perpendicular unit squares."""
+def test_the_simulated_plates_have_the_form_factor_of_perpendicular_squares():
+    """Each receives .20004 of the other's light, by the closed form of perpendicular unit
+    squares."""
     nodes, weights = np.polynomial.legendre.leggauss(12)
     at = [one.ravel() for one in np.meshgrid((nodes + 1) / 2, nodes / 2)]
     mean = np.outer(weights, weights).ravel() / 4 @ seen_plate(*at, 1.0)[0].sum(axis=1)
@@ -113,7 +117,7 @@ def test_the_simulated_plates_exchange_the_light_of_squares_at_right_angles():
 
 
 @pytest.mark.slow
-def test_what_a_bowl_adds_is_stated_and_removed():
+def test_the_interreflection_of_a_bowl_is_stated_and_removed():
     plain = covered(bowl, 0.6, 6, 0.6, size=16, robust=False)
     assert plain[0] < 0.5
     assert "hollow, whose parts light each other" in str(plain[2])
@@ -139,7 +143,7 @@ def test_the_cone_covers_without_interreflection(scene, lowest, albedo, count):
     "options",
     [{"points": np.ones((8, 8, 3))}, {"viewer": (0.6, 0, 0.8)}],
 )
-def test_white_needs_axes_of_the_camera(options):
+def test_white_needs_the_cameras_axes(options):
     lights = hemisphere(6, 0.5) * (5 if "points" in options else 1)
     with pytest.raises(InputError, match="white needs distant lights, and axes with z toward"):
         photometric_stereo(np.ones((6, 8, 8)), lights, white=2.0, **options)
@@ -148,6 +152,6 @@ def test_white_needs_axes_of_the_camera(options):
 @pytest.mark.parametrize(
     "numbers", [{"white": 0.0}, {"white": np.nan}, {"white": 1, "white_sd": -1}]
 )
-def test_white_is_above_0(numbers):
+def test_white_must_be_positive(numbers):
     with pytest.raises(InputError, match="white must be above 0, and white_sd at least 0"):
         photometric_stereo(np.ones((6, 8, 8)), hemisphere(6, 0.5), **numbers)

@@ -1,4 +1,4 @@
-"""Normals under lights at known positions, on surfaces of known depth."""
+"""Tests normals under lights at known positions, on surfaces of known depth."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SIDE = 24
 
 
 def surface(kind):
-    """Points (m) and normals: a tilted plane, or a ball of 15 cm with a background."""
+    """Return points (m) and normals of a tilted plane, or of a ball of 15 cm with a background."""
     y, x = np.mgrid[0.14 : -0.14 : SIDE * 1j, -0.14 : 0.14 : SIDE * 1j]
     if kind == "plane":
         normal = np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
@@ -28,7 +28,7 @@ def surface(kind):
 
 
 def read(points, normals, albedo, lights=LIGHTS, shade=None):
-    """Readings by a loop over lights and pixels, from the definition."""
+    """Return readings by a loop over lights and pixels, from the definition."""
     images = np.zeros((len(lights), *points.shape[:2]))
     for k, light in enumerate(lights):
         for i, j in np.ndindex(images.shape[1:]):
@@ -60,7 +60,7 @@ def test_normals_are_exact_without_noise_and_covered_with_it(kind):
     noisy = images + RNG.normal(0, 1, images.shape)
     found = photometric_stereo(noisy, LIGHTS, intensities=POWERS, points=points)
     inside = (off(found, normals) < 2.448 * found.normal_sd)[known].mean()
-    assert 0.92 < inside < 0.98  # standard error .01
+    assert 0.92 < inside < 0.98  # with a standard error of .01
     assert not found.findings
     middle = LIGHTS - np.nanmean(points, axis=(0, 1))
     distance = np.linalg.norm(middle, axis=1)
@@ -70,7 +70,7 @@ def test_normals_are_exact_without_noise_and_covered_with_it(kind):
     assert np.nanmedian(off(distant, normals)) > 20 * np.nanmedian(off(found, normals))
 
 
-def test_distant_positions_give_what_directions_give():
+def test_distant_positions_equal_directions():
     points, normals = surface("ball")
     images = read(points, normals, np.full(points.shape[:2], 100.0), 1e6 * LIGHTS) * 1e12
     images += RNG.normal(0, 1, images.shape)
@@ -87,7 +87,7 @@ def test_distant_positions_give_what_directions_give():
 
 
 def test_errors_of_positions_and_powers_are_propagated():
-    """Against one weighted fit for each number moved."""
+    """The reference is a weighted fit for each changed number."""
     points, normals = (a[4:20:5, 4:20:5].reshape(1, -1, 3) for a in surface("plane"))
     readings = read(points, normals, np.full(points.shape[:2], 100.0))[:, 0]
     weights = RNG.uniform(0.2, 1.0, readings.shape)

@@ -1,4 +1,4 @@
-"""Balls of Phong's model seen by a camera nearby, in plain NumPy."""
+"""Tests balls of Phong's model seen by a nearby camera, in plain NumPy."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,8 @@ def lights():
 
 
 def photographs(inverse):
-    """12-bit photographs by a camera at 1 / `inverse` half sides from the middle of the frame."""
+    """Return 12-bit photographs by a camera at a distance of 1 / `inverse` half sides of the
+    frame."""
     view = np.stack([-inverse * X, -inverse * Y, np.ones_like(X)], axis=-1)
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
     cosine = np.einsum("hwc,lc->lhw", NORMALS, lights())
@@ -55,7 +56,7 @@ def is_named(calibration):
 
 
 @pytest.mark.slow
-def test_a_camera_nearby_is_measured_and_named():
+def test_the_distance_of_a_nearby_camera_is_estimated_and_named():
     calibration = calibrated(0.1)
     found = estimate(calibration)
     assert found.inverse == pytest.approx(0.1, rel=0.05)

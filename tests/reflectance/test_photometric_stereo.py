@@ -1,5 +1,5 @@
-"""Normals of a ball from its shading: exact without noise, among shadows and highlights, and with
-standard deviations that hold."""
+"""Tests normals of a ball from its shading: exact without noise, with shadows and highlights, and
+with standard deviations that cover."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_without_noise_normals_and_albedo_are_exact():
     found = photometric_stereo(READ, LIGHTS, intensities=E, robust=False)
     np.testing.assert_allclose(found.albedo, RHO, rtol=1e-12)
     assert angles(found).max() < 1e-7
-    np.testing.assert_array_equal(found.used, (READ > 0).sum(axis=0))  # attached shadows are out
+    np.testing.assert_array_equal(found.used, (READ > 0).sum(axis=0))  # without attached shadows
 
 
 def test_highlights_and_cast_shadows_are_left_out():
@@ -38,7 +38,7 @@ def test_highlights_and_cast_shadows_are_left_out():
     broken += RNG.normal(0, 0.2, broken.shape)
     plain = photometric_stereo(broken, LIGHTS, intensities=E, robust=False)
     found = photometric_stereo(broken, LIGHTS, intensities=E)
-    lit = (READ > 0).sum(axis=0) >= 9  # two broken readings among six would be a third
+    lit = (READ > 0).sum(axis=0) >= 9  # two wrong readings among six would be a third
     assert np.median(angles(plain)[lit]) > 0.1
     assert np.quantile(angles(found)[lit], 0.98) < 0.02
     clipped = np.minimum(READ, 120.0)
@@ -46,15 +46,15 @@ def test_highlights_and_cast_shadows_are_left_out():
     assert angles(found)[found.used >= 3].max() < 1e-6
 
 
-def test_standard_deviations_hold():
+def test_standard_deviations_cover():
     whole = np.broadcast_to(READ[:, 8:9, 8:9], (12, 60, 60))
     found = photometric_stereo(
         whole + RNG.normal(0, 2.0, whole.shape), LIGHTS, intensities=E, robust=False
     )
     z = (found.albedo - RHO[8, 8]) / found.albedo_sd
-    longer = ((found.normal_sd * found.albedo) ** 2).mean() / RHO[8, 8]  # noise aside of n, in |g|
+    longer = ((found.normal_sd * found.albedo) ** 2).mean() / RHO[8, 8]  # noise along n, in |g|
     assert abs(z.mean() - longer / found.albedo_sd.mean()) < 0.06
-    assert abs(np.abs(z).mean() - 0.798) < 0.04  # of a Gaussian: 3600 pixels tell the noise
+    assert abs(np.abs(z).mean() - 0.798) < 0.04  # for a Gaussian: 3600 pixels determine the noise
     tilt = np.arccos(np.clip(found.normals @ NORMALS[8, 8], -1, 1))
     expected = 2 * (found.normal_sd**2).mean()  # two ways to tilt
     np.testing.assert_allclose((tilt**2).mean(), expected, rtol=0.06)
@@ -63,11 +63,11 @@ def test_standard_deviations_hold():
 @pytest.mark.slow
 @pytest.mark.parametrize("lights", [6, 8, 12, 40])
 @pytest.mark.parametrize("highlight", [0.0, 100.0])
-def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
-    """95 % hold 95 %, whether a reading is broken or none, within 3.5 standard errors."""
+def test_rejecting_wrong_readings_keeps_intervals_right(lights, highlight):
+    """95 % intervals cover 95 %, with and without a wrong reading, within 3.5 standard errors."""
     rng = np.random.default_rng(lights)
     directions = rng.normal(size=(lights, 3))
-    directions[:, 2] = np.abs(directions[:, 2]) + 1  # none in the shadow
+    directions[:, 2] = np.abs(directions[:, 2]) + 1  # none in shadow
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     g = np.array([12.0, -6.0, 119.0])
     readings = (directions @ g)[:, None, None] + rng.normal(0, 2, (lights, 1, 4000))
@@ -81,14 +81,15 @@ def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
 
 
 def hemisphere(count, lowest=0.1):
-    """Unit directions, evenly over the upper hemisphere down to 6 degrees."""
+    """Return unit directions, uniform over the upper hemisphere down to an elevation of 6
+    degrees."""
     i = np.arange(count) + 0.5
     z, turn = lowest + (1 - lowest) * i / count, np.pi * (1 + np.sqrt(5)) * i
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
 
 
 def normals_within(degrees, count):
-    """Unit normals, evenly over a cap about +z."""
+    """Return unit normals, uniform over a cap about +z."""
     rng = np.random.default_rng(1)
     z, turn = rng.uniform(np.cos(np.radians(degrees)), 1, count), rng.uniform(0, 2 * np.pi, count)
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
@@ -99,7 +100,7 @@ def power(lights, normals, exponent):
 
 
 def rough(lights, normals, sigma):
-    """Oren & Nayar (1994), equation 30, times pi over the albedo; the viewer in +z."""
+    """Return Oren & Nayar (1994), equation 30, times pi over the albedo, viewed from +z."""
     cosine = lights @ normals.T
     a, b = 1 - 0.5 * sigma**2 / (sigma**2 + 0.33), 0.45 * sigma**2 / (sigma**2 + 0.09)
     incident, seen = np.arccos(np.clip(cosine, -1, 1)), np.arccos(normals[:, 2])
@@ -112,7 +113,7 @@ def rough(lights, normals, sigma):
 
 
 def glossy(lights, normals, amplitude):
-    """Lambert's and a Blinn lobe of exponent 20; the viewer in +z."""
+    """Return Lambert's term and a Blinn lobe of exponent 20, viewed from +z."""
     half = lights + np.array([0, 0, 1.0])
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     lit = lights @ normals.T > 0
@@ -132,8 +133,9 @@ def glossy(lights, normals, amplitude):
         (glossy, 0.1, 4.0),
     ],
 )
-def test_the_cone_of_the_normal_covers_what_is_not_lamberts(surface, shape, widest, spread):
-    """The 95 % cone, of 2.448 standard deviations; before, 0 to 30 % off exponent 1."""
+def test_the_cone_of_the_normal_covers_for_non_lambertian_surfaces(surface, shape, widest, spread):
+    """The 95 % cone is 2.448 standard deviations. Earlier, it covered 0 to 30 % if the exponent was
+    not 1."""
     lights, normals = hemisphere(64), normals_within(spread, 400)
     readings = 1000 * surface(lights, normals, shape)
     readings += np.random.default_rng(2).normal(0, 2, readings.shape)
@@ -148,7 +150,7 @@ def test_the_cone_of_the_normal_covers_what_is_not_lamberts(surface, shape, wide
 
 
 def ball(size):
-    """Unit normals of a ball that fills a picture, NaN beside it."""
+    """Return unit normals of a ball that fills a picture, NaN outside it."""
     v, u = (np.mgrid[:size, :size] - (size - 1) / 2) / (0.48 * size)
     inside = u**2 + v**2 < 0.97
     z = np.sqrt(np.where(inside, 1 - u**2 - v**2, np.nan))
@@ -159,8 +161,8 @@ def ball(size):
 @pytest.mark.parametrize(
     ("surface", "shape", "least", "most"),
     [
-        (power, 1.0, 0.92, 0.97),  # 82 % of 8 lights, before other pixels told the noise
-        (rough, 0.5, 0.88, 1.001),  # cones that include a bias contain it always
+        (power, 1.0, 0.92, 0.97),  # earlier 82 % for 8 lights
+        (rough, 0.5, 0.88, 1.001),  # cones that include the bias always cover
     ],
 )
 @pytest.mark.parametrize("clip", [np.inf, 850.0])
@@ -181,14 +183,14 @@ def test_the_cone_of_few_lights_covers_the_normals_of_a_ball(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.2, 0.5])
-def test_few_lights_that_graze_cover_the_normals_of_a_rough_ball(sigma):
-    """No residual of Lambert's law shows how a rough body turns normals."""
+def test_few_grazing_lights_cover_the_normals_of_a_rough_ball(sigma):
+    """No residual of Lambert's law shows how a rough body biases normals."""
     lights, normals = hemisphere(12), ball(30).reshape(-1, 3)
     readings = 1000 * np.nan_to_num(rough(lights, normals, sigma))
     readings += np.random.default_rng(2).normal(0, 2, readings.shape)
     readings = readings.reshape(-1, 30, 30)
     off, out = missed(found := photometric_stereo(readings, lights), normals)
-    assert out < 0.05  # was 34 % of the whole ball
+    assert out < 0.05  # earlier 34 % of the ball
     said = float(str(found).split("sigma = ")[1].split()[0])
     np.testing.assert_allclose(said, np.degrees(sigma), rtol=0.02)
     after, out = missed(photometric_stereo(readings, lights, model="oren-nayar"), normals)
@@ -197,7 +199,8 @@ def test_few_lights_that_graze_cover_the_normals_of_a_rough_ball(sigma):
 
 
 def ggx(lights, normals, alpha):
-    """Lambert's and a GGX lobe of a dielectric (Schlick's Fresnel term); the viewer in +z."""
+    """Return Lambert's term and a GGX lobe of a dielectric (with Schlick's Fresnel term), viewed
+    from +z."""
     half = lights + np.array([0, 0, 1.0])
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     lit, seen = lights @ normals.T, np.maximum(normals[None, :, 2], 1e-3)
@@ -210,7 +213,7 @@ def ggx(lights, normals, alpha):
 
 
 @pytest.mark.slow
-def test_lobes_of_two_materials_give_better_normals_than_leaving_highlights_out():
+def test_models_with_lobes_give_better_normals_than_rejecting_highlights():
     lights, normals = hemisphere(12, 0.5), ball(30).reshape(-1, 3)
     materials = np.where(np.arange(900) % 30 < 15, 3, 7)
     readings = 1000 * np.nan_to_num(
@@ -235,8 +238,9 @@ def test_lobes_of_two_materials_give_better_normals_than_leaving_highlights_out(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robust", [True, False])
-def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
-    """In attached shadows half of the noise is above 0: kept, it turned normals by 4 degrees."""
+def test_readings_in_shadow_are_not_selected_by_their_noise(robust):
+    """In attached shadows half of the noise is above 0. Used as readings, it rotated normals by 4
+    degrees."""
     lights, normals = hemisphere(64), normals_within(60, 400)
     readings = 1000 * power(lights, normals, 1)
     readings += np.random.default_rng(2).normal(0, 2, readings.shape)
@@ -280,7 +284,8 @@ def ring(count, zenith=35):
 
 
 def photons(lights, normals, exposures, seed=1):
-    """Counts of a matt ball of albedo 1200 under lights of several exposures, with shot noise."""
+    """Return counts of a matte ball of albedo 1200 under lights with different exposures and shot
+    noise."""
     mean = 1200 * np.maximum(np.nan_to_num(lights @ normals.T), 0)
     drawn = np.random.default_rng(seed).poisson(2 * mean * np.asarray(exposures)[:, None]) / 2
     return np.rint(drawn + 2 * np.random.default_rng(seed + 1).normal(size=drawn.shape))
@@ -299,7 +304,7 @@ def missed(found, normals):
         *(pytest.param(e, marks=pytest.mark.slow) for e in ([1, 0.95, 0.9, 0.85], 3 * [1, 1.1])),
     ],
 )
-def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
+def test_common_factors_of_images_are_named_and_corrected(exposures):
     lights, normals = ring(len(exposures)), ball(30).reshape(-1, 3)
     readings = photons(lights, normals, exposures)
     found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
@@ -309,7 +314,7 @@ def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
     np.testing.assert_allclose(
         factors / factors[-1], np.array(exposures) / exposures[-1], rtol=0.02
     )
-    assert missed(found, normals)[1] < 0.08  # was 35 % with a lamp that drifts
+    assert missed(found, normals)[1] < 0.08  # earlier 35 % with a drifting lamp
     right = photometric_stereo(readings.reshape(-1, 30, 30), lights, intensities=factors)
     assert not right.findings
     assert np.degrees(np.nanmedian(missed(right, normals)[0][normals[:, 2] > 0.85])) < 2
@@ -324,14 +329,14 @@ def test_an_image_of_another_exposure_is_left_out_of_few(count):
     assert "images[1]" in str(found)
     assert "left out" in str(found)
     off, out = missed(found, normals)
-    assert np.degrees(np.nanmedian(off[normals[:, 2] > 0.85])) < 2  # was 2.6 to 8.5
+    assert np.degrees(np.nanmedian(off[normals[:, 2] > 0.85])) < 2  # earlier 2.6 to 8.5
     assert out < 0.1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("brighter", [2, pytest.param(4, marks=pytest.mark.slow)])
-def test_right_intensities_that_differ_are_not_called_wrong(brighter):
-    """Noise of photons grows with the light, which had passed for a non-Lambertian surface."""
+def test_different_intensities_are_not_called_wrong(brighter):
+    """Earlier, photon noise that grows with the light was taken for a non-Lambertian surface."""
     lights, normals = ring(8), ball(30).reshape(-1, 3)
     intensities = np.where(np.arange(8) % 2, brighter, 1.0)
     readings = photons(lights, normals, intensities).reshape(-1, 30, 30)
@@ -339,13 +344,13 @@ def test_right_intensities_that_differ_are_not_called_wrong(brighter):
     assert not found.findings
     inner = normals[:, 2] > 0.85
     z = np.abs(found.albedo.ravel() - 1200)[inner] / found.albedo_sd.ravel()[inner]
-    assert 0.91 < np.mean(z < 1.96) < 0.98  # was all of them, of errors three times too large
+    assert 0.91 < np.mean(z < 1.96) < 0.98  # earlier all, with errors 3 times too large
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("squares", [True, False])
-def test_noise_that_grows_with_the_intensity_is_not_called_another_surface(squares):
-    """Readings that were scaled by the intensity, or whose lamps flicker."""
+def test_noise_proportional_to_intensity_is_not_attributed_to_the_surface(squares):
+    """The readings were divided by the intensity, or the lamps flicker."""
     lights, normals = hemisphere(12, 0.5), ball(30).reshape(-1, 3)
     rng = np.random.default_rng(2)
     intensities = 4 ** rng.random(12)
@@ -356,15 +361,15 @@ def test_noise_that_grows_with_the_intensity_is_not_called_another_surface(squar
     assert not found.findings
     off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
     inside = np.mean((off < 2.448 * found.normal_sd.ravel())[np.isfinite(off)])
-    assert 0.89 < inside < 0.97  # was .999, of errors 3 times too large
+    assert 0.89 < inside < 0.97  # earlier .999, with errors 3 times too large
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "albedo", [pytest.param(1.0, marks=pytest.mark.slow), np.linspace(0.1, 1, 900)]
 )
-def test_noise_that_grows_with_the_reading_is_not_called_another_surface(albedo):
-    """Background pixels, kept where their noise is above 0, had passed for departures."""
+def test_noise_that_grows_with_the_reading_is_not_attributed_to_the_surface(albedo):
+    """Earlier, background pixels with noise above 0 were taken for departures from the model."""
     lights, normals = hemisphere(64, 0.5), ball(30).reshape(-1, 3)
     mean = 1000 * albedo * np.maximum(np.nan_to_num(lights @ normals.T), 0)
     noise = np.random.default_rng(0).normal(size=mean.shape)
@@ -378,7 +383,8 @@ def test_noise_that_grows_with_the_reading_is_not_called_another_surface(albedo)
 
 
 def torrance(lights, normals, slope):
-    """Lambert's and Cook and Torrance's lobe of as much energy, index 1.5; the viewer in +z."""
+    """Return Lambert's term and Cook and Torrance's lobe of equal energy, index 1.5, viewed from
+    +z."""
     half = lights + np.array([0, 0, 1.0])
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     lit, seen, towards = lights @ normals.T, normals[None, :, 2], half[:, 2:]
@@ -393,7 +399,7 @@ def torrance(lights, normals, slope):
 
 
 def near(lights, normals, distance):
-    """A matte ball under lights so many of its radii away, taken for distant."""
+    """Return a matte ball under lights at this distance in radii, which are taken as distant."""
     toward = distance * lights[:, None] - normals
     apart = np.linalg.norm(toward, axis=-1)
     return distance**2 * np.maximum((toward * normals).sum(axis=-1), 0) / apart**3
@@ -414,7 +420,7 @@ def near(lights, normals, distance):
         (near, 30.0, 0.9),
     ],
 )
-def test_the_cone_covers_whatever_the_surface(surface, shape, least, lowest):
+def test_the_cone_covers_for_any_surface(surface, shape, least, lowest):
     lights, normals = hemisphere(64, lowest), ball(30).reshape(-1, 3)
     readings = 1000 * np.nan_to_num(surface(lights, normals, shape))
     readings += np.random.default_rng(3).normal(0, 2, readings.shape)
@@ -480,8 +486,9 @@ def test_bad_input_is_a_sentence(images, lights, options, said):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("offset", [0.0, 64.0, -20.0])
-def test_what_pixels_read_that_face_away_from_a_light_is_an_offset(offset):
-    """Lights of one height hide it from the residuals: n moves towards their axis."""
+def test_readings_that_face_away_from_a_light_give_the_offset(offset):
+    """Residuals do not show the offset if all lights have the same elevation: normals are biased
+    towards the lights' axis."""
     y, x = (np.mgrid[:48, :48] - 23.5) / 20
     there = x**2 + y**2 < 0.98
     ball = np.stack([x, -y, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))], axis=-1)
@@ -498,8 +505,8 @@ def test_what_pixels_read_that_face_away_from_a_light_is_an_offset(offset):
 
 
 @pytest.mark.slow
-def test_a_ball_of_8_bits_that_is_clipped_leaves_out_its_largest_code():
-    """Without `highest`; a ball that is not clipped has no such code, of 8 bits or not."""
+def test_the_largest_code_of_a_clipped_8_bit_ball_is_left_out():
+    """`highest` is not given. A ball without clipping has no such code, in 8 bits or more."""
     y, x = (np.mgrid[:64, :64] - 31.5) / 30
     ball = np.stack([x, -y, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))], axis=-1)
     turn, height = 2.4 * np.arange(12), np.linspace(0.4, 0.95, 12)
@@ -529,7 +536,7 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90 d
     ("axes", "viewer", "said"),
     [
         (np.eye(3), 1.0, ""),
-        (np.diag([1.0, -1.0, -1.0]), -1.0, ""),  # right-handed axes of a view along z
+        (np.diag([1.0, -1.0, -1.0]), -1.0, ""),  # right-handed axes, view along z
         (np.diag([1.0, -1.0, 1.0]), 1.0, "with x right and y down (or x left, y up)"),
         (np.diag([1.0, 1.0, -1.0]), -1.0, "with x right and y up (or x left, y down)"),
         (np.eye(3)[[1, 0, 2]], 1.0, "in mirrored axes, such as with x and y exchanged"),
@@ -537,7 +544,7 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90 d
         (np.diag([1.0, 1.0, -1.0]), 1.0, "100 % of the normals point away from the camera"),
     ],
 )
-def test_normals_that_belong_to_no_surface_in_the_stated_axes_are_named(axes, viewer, said):
+def test_normals_that_are_not_a_surface_in_the_stated_axes_are_named(axes, viewer, said):
     noisy = READ + np.random.default_rng(3).normal(0, 0.3, READ.shape)
     found = photometric_stereo(noisy, LIGHTS @ axes.T, intensities=E, viewer=(0, 0, viewer))
     told = " ".join(found.findings)
@@ -545,7 +552,7 @@ def test_normals_that_belong_to_no_surface_in_the_stated_axes_are_named(axes, vi
 
 
 @pytest.mark.slow
-def test_a_plane_in_noise_is_a_surface_in_any_axes():
+def test_a_noisy_plane_is_a_surface_in_any_axes():
     plane = np.broadcast_to(READ[:, 8:9, 8:9], (12, 40, 40))
     noisy = plane + np.random.default_rng(4).normal(0, 3.0, plane.shape)
     assert "surface" not in " ".join(photometric_stereo(noisy, LIGHTS, intensities=E).findings)
@@ -559,7 +566,7 @@ def test_infinite_readings_are_left_out_and_named():
     assert f"{np.isinf(holes).sum()} readings are infinite" in found.findings[0]
 
 
-def test_three_lights_say_that_they_leave_no_errors():
+def test_three_lights_give_no_errors_and_say_so():
     found = photometric_stereo(READ[:3], LIGHTS[[0, 4, 8]], intensities=E[:3])
     assert "only three lights are used" in found.findings[-1]
 
@@ -568,7 +575,7 @@ def test_three_lights_say_that_they_leave_no_errors():
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.parametrize("azimuths", [[90, 210, 330], [45, 135, 225, 315]])
 def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipped):
-    """Two lit directions leave the normal free, however often each is repeated."""
+    """Two lit directions do not determine the normal, however often each is repeated."""
     turns = np.radians(np.repeat(azimuths, 4))
     high = np.full(turns.size, 0.5)
     lights = np.stack([0.75**0.5 * np.cos(turns), 0.75**0.5 * np.sin(turns), high], axis=1)
@@ -596,8 +603,9 @@ def test_repeated_lights_of_which_two_see_a_pixel_give_no_normal(azimuths, clipp
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("shadowed", [2, 3, 4])
 def test_cast_shadows_under_up_to_half_of_the_lights(shadowed, level):
-    """On a part of a ball, under 8 lights in a ring. Cones contained 1 to 70 % before, or had half
-    angles of 100 degrees; under half of the lights, no set of readings prevails."""
+    """A part of the ball, under 8 lights in a ring, is in shadow. Earlier, cones covered 1 to 70 %,
+    or had half-angles of 100 degrees. If half of the lights are shadowed, no set of readings has a
+    majority."""
     rng, turns = np.random.default_rng(3), 2 * np.pi * np.arange(8) / 8
     up = np.radians(50 + 15 * (np.arange(8) % 2 == 0))
     lights = np.stack([np.cos(up) * np.cos(turns), np.cos(up) * np.sin(turns), np.sin(up)], axis=1)
@@ -623,7 +631,7 @@ def test_cast_shadows_under_up_to_half_of_the_lights(shadowed, level):
 
 
 def ringed_ball(count, seed):
-    """Lights in two rings, and normals and readings of a ball of 30 pixels."""
+    """Return lights in two rings, and normals and readings of a ball of 30 pixels."""
     turns = 2 * np.pi * np.arange(count) / count
     up = np.radians(50 + 15 * (np.arange(count) % 2 == 0))
     lights = np.stack([np.cos(up) * np.cos(turns), np.cos(up) * np.sin(turns), np.sin(up)], axis=1)
@@ -638,9 +646,9 @@ def ringed_ball(count, seed):
 @pytest.mark.parametrize(
     ("count", "share"), [(12, 0.3), (12, 0.5), (20, 0.5), (8, 0.5), (8, 0.7), (20, 0.7)]
 )
-def test_many_random_readings_give_no_normal_or_a_sentence(count, share):
-    """The residuals of most pixels are those of wrong readings. Cones contained 48 to 70 %, and no
-    sentence said so."""
+def test_many_random_readings_give_no_normal_or_a_message(count, share):
+    """The residuals of most pixels are those of wrong readings. Earlier, cones covered 48 to 70 %
+    without a message."""
     rng, lights, normals, inside, images = ringed_ball(count, 1)
     wrong = rng.random(images.shape) < share
     images = np.where(wrong, rng.uniform(0, 1000, images.shape), images)
@@ -648,7 +656,7 @@ def test_many_random_readings_give_no_normal_or_a_sentence(count, share):
     off = np.arccos(np.clip((found.normals * normals).sum(axis=-1), -1, 1))
     known = inside & np.isfinite(found.normal_sd)
     covered = np.mean(off[known] < 2.448 * found.normal_sd[known])
-    if share <= 0.5 and count >= 12:  # the right readings of a pixel prevail
+    if share <= 0.5 and count >= 12:  # the right readings have a majority
         assert covered > 0.83
     if share > 0.3:
         assert any("most pixels have wrong readings" in sentence for sentence in found.findings)
@@ -671,9 +679,9 @@ def test_noise_alone_is_not_called_wrong_readings(noise):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("level", [0.1, 0.3])
-def test_shadowed_readings_that_agree_on_another_normal_leave_none(level):
-    """Six of 12 readings in a cast shadow: eight of them agree on a normal that is 49 to 87 degrees
-    off, and six on the right one."""
+def test_contradicting_groups_of_readings_give_no_normal(level):
+    """Six of 12 readings are in a cast shadow. Eight of them agree on a normal that is wrong by 49
+    to 87 degrees, and six on the right one."""
     rng, lights, normals, inside, images = ringed_ball(12, 2)
     part = inside & (np.abs(normals[..., 0]) < 0.3) & (np.abs(normals[..., 1]) < 0.5)
     images[:6, part] *= level
@@ -695,7 +703,7 @@ EIGHT = np.stack(
 
 
 def photographs_of_a_ball(gloss=0.0):
-    """Readings of a ball of albedo 1000 with a lobe of Phong's model on black, noise 3."""
+    """Return readings of a ball of albedo 1000 with a Phong lobe on black, with noise of 3."""
     cosine = np.einsum("hwc,lc->lhw", BALL, EIGHT)
     mirrored = np.maximum(2 * cosine * BALL[..., 2] - EIGHT[:, 2, None, None], 0)
     shading = 1000 * cosine + gloss * mirrored**30
@@ -709,8 +717,8 @@ def degrees_off(found):
 
 
 @pytest.mark.slow
-def test_a_model_with_a_highlight_leaves_black_shadows_black():
-    """Where a pixel is in the shadow, the reading without the model's highlight is no reading."""
+def test_a_model_with_a_highlight_keeps_shadows_black():
+    """In shadow, the reading without the model's highlight is not a reading."""
     found = photometric_stereo(photographs_of_a_ball(500), EIGHT, model="phong")
     assert not any("in place of 0" in one or "does not follow" in one for one in found.findings)
     assert np.median(np.degrees(found.normal_sd[np.isfinite(found.normal_sd)])) < 0.3
@@ -718,7 +726,7 @@ def test_a_model_with_a_highlight_leaves_black_shadows_black():
 
 
 @pytest.mark.slow
-def test_three_of_eight_images_of_a_quarter_of_the_exposure_are_left_out():
+def test_three_of_eight_images_with_a_quarter_of_the_exposure_are_left_out():
     images = photographs_of_a_ball()
     images[5:] /= 4
     found = photometric_stereo(images, EIGHT)

@@ -1,7 +1,7 @@
-"""Reflectance from simulated photographs: right values, honest errors, and refusals in words.
+"""Tests reflectance from simulated photographs: right values, right errors, and refusals.
 
-The photographs are NumPy's (`oracles.sphere_photographs`); optima are checked against scipy.
-"""
+The photographs are from NumPy (`oracles.sphere_photographs`), and optima are checked against
+SciPy."""
 
 import dataclasses
 import json
@@ -69,7 +69,8 @@ PHONG = (0.4, 0.45, 40.0)
 
 
 def photographs(rng, *, model="phong", truth=PHONG, white=WHITE, clip=4095.0, lights=None):
-    """Digital numbers (lights, h, w); `lights`: factors on each light's true intensity."""
+    """Return digital numbers (lights, h, w). `lights` are factors of each light's true
+    intensity."""
     signal = white * shade(NORMALS, DIRECTIONS, model, *truth)
     if lights is not None:
         signal = signal * lights[:, None, None]
@@ -77,13 +78,13 @@ def photographs(rng, *, model="phong", truth=PHONG, white=WHITE, clip=4095.0, li
 
 
 def observe(folder, frames, *, white=WHITE, camera=CAMERA, **options):
-    """Of pixels that are points, as `shade` computes them."""
+    """Return an observation whose pixels are points, as computed by `shade`."""
     write_rig(folder, frames, DIRECTIONS, [white], radius=RADIUS, camera=camera, **options)
     return dataclasses.replace(read_reflectance_observation(folder), within=None)
 
 
 def with_frames(observation, frames):
-    """The same rig, photographed again."""
+    """Return the same rig with other photographs."""
     return dataclasses.replace(
         observation, dn=frames[None][:, :, observation.rows, observation.columns]
     )
@@ -106,7 +107,7 @@ def cells(observation, chosen, width=1.0):
 
 
 def calibrated(observation, *fits):
-    """A calibration of given fits, the first one reported, without posteriors."""
+    """Return a calibration of given fits, the first one reported, without posteriors."""
     fitted, held_out = (
         select(observation, held_out=kept, form=fits[0].requested) for kept in (False, True)
     )
@@ -125,14 +126,14 @@ def calibrated(observation, *fits):
 
 
 def cosines(samples):
-    """n.l, and the logarithm of the cosine of the angle between view and mirror direction."""
+    """Return n.l, and the log cosine of the angle between view and mirror direction."""
     wi, wo = (np.array([v.x, v.y, v.z]) for v in (samples.geometry.wi, samples.geometry.wo))
     mirrored = 2 * wi[2] * wo[2] - (wi * wo).sum(axis=0)
     return wi[2], np.log(np.maximum(mirrored, 1e-300))
 
 
 def deviations(found):
-    """Standard errors of the logarithms."""
+    """Return the standard errors of the logarithms."""
     return np.sqrt(np.diagonal(found.robustness.covariance))
 
 
@@ -156,7 +157,7 @@ def observation(tmp_path_factory):
         pytest.param("torrance-sparrow-metal", (0.4, 0.3, 0.3), marks=pytest.mark.slow),
     ],
 )
-def test_the_truth_is_found(observation, model, truth):
+def test_the_true_values_are_recovered(observation, model, truth):
     frames = photographs(np.random.default_rng(1), model=model, truth=truth)
     found = fit(with_frames(observation, frames), model)
     assert found.converged
@@ -178,7 +179,7 @@ def test_the_roughness_of_a_diffuse_surface_is_found(observation, model):
 
 
 @pytest.mark.slow
-def test_a_rough_matt_ball_is_told_from_lamberts_by_default(observation):
+def test_a_rough_matte_ball_is_distinguished_from_lamberts_by_default(observation):
     """The two rough bodies are compared without `compare_all`, and one of them predicts best."""
     frames = photographs(np.random.default_rng(9), model="eon", truth=(0.6, 0, 0.6))
     found = calibrate_reflectance(with_frames(observation, frames), model="eon")
@@ -186,8 +187,8 @@ def test_a_rough_matt_ball_is_told_from_lamberts_by_default(observation):
 
 
 @pytest.mark.slow
-def test_facets_of_another_index_change_k_s_and_hardly_the_fit(observation):
-    """k_s and the reflectance along the normal enter as a product."""
+def test_facets_of_another_index_change_k_s_and_little_else(observation):
+    """k_s and the reflectance at normal incidence enter as a product."""
     frames = photographs(
         np.random.default_rng(8), model="torrance-sparrow-beckmann", truth=(0.4, 1.5, 0.25)
     )
@@ -198,7 +199,7 @@ def test_facets_of_another_index_change_k_s_and_hardly_the_fit(observation):
     assert wrong.chi_square < 1.02 * right.chi_square
 
 
-def test_the_optimum_is_scipys(observation):
+def test_the_optimum_equals_scipys(observation):
     found = fit(observation)
     s = found.samples
     cosine, mirror = cosines(s)
@@ -213,7 +214,7 @@ def test_the_optimum_is_scipys(observation):
 
 
 @pytest.mark.slow
-def test_saturated_highlights_are_censored_not_believed(observation):
+def test_saturated_highlights_are_censored(observation):
     clip = BLACK + 0.6 * WHITE  # 1 % of the samples
     frames = photographs(np.random.default_rng(2), clip=clip)
     again = with_frames(observation, frames)
@@ -225,7 +226,7 @@ def test_saturated_highlights_are_censored_not_believed(observation):
     assert believed.natural[1] < 0.9 * PHONG[1]
 
 
-def test_censored_optimum_is_scipys(observation):
+def test_the_censored_optimum_equals_scipys(observation):
     clip = BLACK + 0.6 * WHITE
     again = with_frames(observation, photographs(np.random.default_rng(2), clip=clip))
     found = fit(dataclasses.replace(again, clip=clip))
@@ -247,9 +248,9 @@ def test_censored_optimum_is_scipys(observation):
 
 
 @pytest.mark.slow
-def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
-    """Intensities wrong by 3 %: the robust error of k_d is the scatter over repetitions, the error
-    that takes pixels for independent is a small part of it."""
+def test_errors_of_light_intensities_widen_the_errors(observation):
+    """Intensities have errors of 3 %. The robust error of k_d equals the scatter over repetitions,
+    and the error for independent pixels is a small part of it."""
     logs, robust, naive = [], [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -260,8 +261,8 @@ def test_uneven_lights_widen_the_errors_to_what_they_are(observation):
         naive.append(np.sqrt(np.linalg.inv(found.information)[0, 0]))
         assert found.robustness.light_design_effect > 10
     scatter = np.std(logs, ddof=1)
-    # 15 fitted lights and 3 parameters widen by up to sqrt(15 / 12 * 12 / 10) = 1.22, the part of
-    # it that shrunk residuals do not need; the scatter of 40 has a relative error of 0.11.
+    # 15 fitted lights and 3 parameters widen the error by up to sqrt(15 / 12 * 12 / 10) = 1.22,
+    # less the correction for shrunk residuals. The scatter of 40 has a relative error of 0.11.
     ratio = np.sqrt(np.mean(np.square(robust))) / scatter
     assert 1 - 2.5 * 0.11 < ratio < 1.22 * (1 + 2.5 * 0.11)
     assert np.mean(naive) < scatter / 5
@@ -288,7 +289,7 @@ def test_without_the_highlight_its_parameters_are_not_determined(observation):
     assert not calibration.posteriors
 
 
-def test_a_matt_sphere_has_no_highlight_to_report(observation):
+def test_a_matte_sphere_has_no_highlight_parameters(observation):
     frames = photographs(np.random.default_rng(3), model="lambert", truth=(0.4, 0.0, 1.0))
     frames -= np.round(0.02 * WHITE * shade(NORMALS, DIRECTIONS, "phong", 0, 1, 20))
     again = with_frames(observation, frames)
@@ -298,7 +299,7 @@ def test_a_matt_sphere_has_no_highlight_to_report(observation):
 
 
 @pytest.mark.slow
-def test_ambient_light_is_read_off_the_shadows(observation):
+def test_ambient_light_is_estimated_from_shadows(observation):
     frames = np.minimum(photographs(np.random.default_rng(4)) + 25, 4095)
     found = fit(with_frames(observation, frames), ambient=True)
     assert [p.name for p in found.space] == ["diffuse", "specular", "exponent", "ambient"]
@@ -321,13 +322,13 @@ def test_gamma_known_or_free(observation):
     free = fit(again, free_gamma=True)
     z = np.log(free.natural / [*PHONG, 2.2]) / deviations(free)
     np.testing.assert_allclose(z, 0, atol=4)
-    # What is not known costs precision, as long as nothing else widens the errors.
+    # Unknown parameters cost precision, as long as nothing else widens the errors.
     costly, cheap = (np.diagonal(np.linalg.inv(f.information))[:3] for f in (free, known))
     assert np.all(costly > cheap)
 
 
 def log_likelihood_of_pixels(vector, samples):
-    """Phong's formula and Tobin's likelihood of each pixel, by NumPy."""
+    """Return Phong's formula with Tobin's likelihood for each pixel, by NumPy."""
     diffuse, specular, exponent = np.exp(vector)
     cosine, mirror = cosines(samples)
     lobe = np.where(cosine > 0, np.exp(exponent * mirror), 0)
@@ -342,9 +343,9 @@ def log_likelihood_of_pixels(vector, samples):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("width", [1.0, 4.0])
-def test_cells_have_the_mode_and_the_density_of_all_pixels(observation, width):
-    """At the mode the slope of each vanishes; two standard errors away, where the density has
-    fallen by 2, usual cells agree to 0.02, four times wider ones not."""
+def test_cells_have_the_mode_and_density_of_all_pixels(observation, width):
+    """At the mode both gradients vanish. Two standard errors away, where the log density has fallen
+    by 2, the usual cells agree within 0.02, and cells four times as wide do not."""
     found = fit(observation)
     usual = cells(observation, found.selection, width=width)
     data = dataclasses.replace(composite(found, usual), stretch=jnp.eye(3))
@@ -391,13 +392,13 @@ def test_draws_agree_with_laplace(observation):
     np.testing.assert_allclose(np.sqrt(np.diagonal(drawn.covariance)), wider, rtol=0.06)
 
 
-def test_what_judges_the_errors_is_named(observation):
-    """Few lights, of which more would help, or regions of lights, which stay as many."""
+def test_the_basis_of_the_errors_is_named(observation):
+    """There are few lights, so that more would help, or a fixed number of regions of lights."""
     found, matt = fit(observation), fit(observation, "lambert")
     few = dataclasses.replace(found.robustness, freedom=np.full(3, 3.6))
     lights = len(np.unique(found.selection.light))
     alone, alike = dataclasses.replace(found), dataclasses.replace(found)
-    vars(alone).update(robustness=few, regions=found.regions)  # else computed when asked for
+    vars(alone).update(robustness=few, regions=found.regions)  # otherwise computed when used
     vars(alike).update(robustness=few, regions=np.arange(LIGHTS) // 2)
     told = {}
     for name, one in {"alone": alone, "alike": alike}.items():
@@ -414,8 +415,9 @@ def test_facets_and_both_axes_are_compared_by_default(model):
     assert model in USUAL
 
 
-def test_a_better_model_than_the_reported_one_is_said(observation):
-    """With its numbers and the option that reports it; and which models were not compared."""
+def test_a_better_model_than_the_reported_one_is_named(observation):
+    """The sentence has its numbers and the option that reports it, and names models that were not
+    compared."""
     bright, matt = fit(observation), fit(observation, "lambert")
     told = findings(calibrated(observation, matt, bright))
     said = next(s for s in told if s.startswith("The reported model, Lambert"))
@@ -427,7 +429,7 @@ def test_a_better_model_than_the_reported_one_is_said(observation):
     assert not any("The reported model" in s for s in told)
 
 
-def test_held_out_images_do_not_touch_the_fit(observation):
+def test_held_out_images_do_not_affect_the_fit(observation):
     frames = observation.dn.copy()
     frames[:, observation.held_out] = BLACK + 500
     changed = fit(dataclasses.replace(observation, dn=frames))
@@ -435,7 +437,8 @@ def test_held_out_images_do_not_touch_the_fit(observation):
 
 
 def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
-    """The held-out lights, some of whose pixels are clipped: the ratio of two RMS by hand."""
+    """Some pixels of the held-out lights are clipped. The reference computes the ratio of two
+    RMS."""
     found = fit(observation)
     frames, held_out = observation.dn.copy(), np.flatnonzero(observation.held_out)
     frames[0, held_out[0], np.flatnonzero(observation.cosine[held_out[0]] > 0.3)] = 4095
@@ -492,8 +495,8 @@ def test_fits_are_double_where_jax_computes_in_single_precision(observation):
         (Form("torrance-sparrow", index=1.4), [0.4, 3.0, 0.2], {"clip": 1000.0}),
     ],
 )
-def test_derivatives_are_those_that_jax_takes_of_the_density(observation, form, vector, changes):
-    """Of pixels and, with an offset, of cells; some of them saturated."""
+def test_derivatives_equal_those_of_the_density_by_jax(observation, form, vector, changes):
+    """The gradients are of pixels or, with an offset, of cells, some of them saturated."""
     seen = dataclasses.replace(observation, **{"clip": 1500.0, **changes})
     chosen = select(seen, held_out=False, form=form)
     samples = View(seen, 0, chosen).samples(form)
@@ -519,8 +522,8 @@ def test_derivatives_are_those_that_jax_takes_of_the_density(observation, form, 
 
 @pytest.mark.slow
 def test_programs_grow_neither_with_pixels_nor_with_lights_nor_with_channels(tmp_path):
-    """Of a second calibration, of other photographs, only the density of its cells and the angles
-    of its pixels are compiled anew; of all models a lobe each, and few besides."""
+    """A second calibration with other photographs compiles only the density of its cells and the
+    angles of its pixels. All models together compile one program for each lobe, and few others."""
 
     def photographed(folder, channels, lights, size):
         folder.mkdir()
@@ -558,13 +561,13 @@ def test_programs_grow_neither_with_pixels_nor_with_lights_nor_with_channels(tmp
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
-def test_a_setting_without_its_name_is_told_its_name():
+def test_a_positional_option_gets_a_message_with_its_name():
     said = "calibrate takes 1 of its arguments by their place; write model='torrance-sparrow'."
     with pytest.raises(TypeError, match=re.escape(said)):
         calibrate_reflectance(None, "torrance-sparrow")
 
 
-def test_a_parameter_that_data_bound_on_one_side_only_gets_no_number():
+def test_a_parameter_bounded_on_one_side_only_gets_no_value():
     space, mode = parameter_space(Form("phong")), np.array([0.4, 0.3, 30.0])
     draws = mode * np.exp(0.1 * np.random.default_rng(0).standard_normal((1, 400, 3)))
     known = (space, "Laplace", draws, mode, np.log(mode), 0.01 * np.eye(3), 0)

@@ -1,4 +1,4 @@
-"""Reading photographs of a known shape: the geometry is right, and what is wrong is named."""
+"""Tests reading photographs of a known shape: the geometry is right, and errors are named."""
 
 from contextlib import nullcontext
 
@@ -43,7 +43,7 @@ def read(folder):
     return read_reflectance_observation(load_rig(folder))
 
 
-def test_angles_are_those_of_the_textbook(tmp_path):
+def test_angles_equal_the_textbooks(tmp_path):
     seen = read(rig_folder(tmp_path))
     normals = sphere_normals(SIZE, RADIUS)[seen.rows, seen.columns]
     np.testing.assert_allclose(seen.normals, normals, atol=1e-14)
@@ -55,7 +55,7 @@ def test_angles_are_those_of_the_textbook(tmp_path):
     assert seen.channels == ("grey",)
 
 
-def test_pixels_that_the_outline_may_cross_are_left_out(tmp_path):
+def test_pixels_on_the_outline_are_left_out(tmp_path):
     seen = read(rig_folder(tmp_path))
     middle = (SIZE - 1) / 2
     corner = np.hypot(np.abs(seen.rows - middle) + 0.5, np.abs(seen.columns - middle) + 0.5)
@@ -111,8 +111,9 @@ def test_colour_images_need_one_intensity_or_one_a_channel(tmp_path):
         read(rig_folder(tmp_path, frames=colour, intensity=[1.0, 2.0]))
 
 
-def test_a_colour_of_a_mosaic_is_its_own_pixels_at_their_own_places(tmp_path):
-    """GBRG; black and gain of each site, in reading order, are made those of their mean."""
+def test_a_colour_of_a_mosaic_uses_only_its_own_pixels(tmp_path):
+    """The pattern is GBRG. Black level and gain of each site, in reading order, are normalised to
+    their mean."""
     colour = np.arange(1, 4) * (100 + np.arange(5 * SIZE**2).reshape(5, SIZE, SIZE, 1) % 250)
     site = np.array([[1, 2], [0, 1]])
     which = np.tile(site, (SIZE // 2, SIZE // 2))
@@ -143,8 +144,8 @@ def test_a_colour_of_a_mosaic_is_its_own_pixels_at_their_own_places(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [folders.brdf, folders.joint])
-def test_photographs_of_a_raw_mosaic_tell_each_colour(tmp_path, command):
-    """Each colour by the pixels of its sites, with black levels and gains of the sites."""
+def test_photographs_of_a_raw_mosaic_give_each_colour(tmp_path, command):
+    """Each colour uses the pixels of its sites, with their black levels and gains."""
     rng, size, radius = np.random.default_rng(3), 48, 22.0
     directions = light_directions(16)
     which = np.tile([[0, 1], [1, 2]], (size // 2, size // 2))

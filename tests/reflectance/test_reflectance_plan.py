@@ -1,4 +1,5 @@
-"""What to photograph next: foretold errors against fits with the image in question."""
+"""Tests the choice of the next photograph: predicted errors against fits with the image in
+question."""
 
 from dataclasses import replace
 
@@ -21,7 +22,8 @@ LIGHTS = np.stack(
 
 
 def photographs():
-    """A Phong ball, k_d = .3, k_s = .4, n = 25, by NumPy, under eight lights with sensor noise."""
+    """Return photographs of a Phong ball, k_d = .3, k_s = .4, n = 25, by NumPy, under eight lights
+    with sensor noise."""
     rng = np.random.default_rng(5)
     shaded = shade(sphere_normals(SIDE, SIDE / 2 - 1), LIGHTS, "phong", 0.3, 0.4, 25)
     exposed = {"gain": GAIN, "read_noise": READ_NOISE, "black": 50.0, "clip": 4095.0}
@@ -38,8 +40,8 @@ def photographs():
 
 
 @pytest.mark.slow
-def test_a_planned_image_narrows_the_fit_as_foretold():
-    """Information of the fit and of one more image against that of the fit with that image."""
+def test_a_planned_image_reduces_the_errors_as_predicted():
+    """The information of the fit and one more image equals that of a fit with this image."""
     observation = photographs()
     calibration = calibrate(observation, model="phong")
     before = calibration.chosen_fits[0]

@@ -1,4 +1,5 @@
-"""Directions that the shading tells against those of the rig: signs, order, one light, outlines."""
+"""Tests light directions from shading against those of the rig: signs, order, one light,
+outlines."""
 
 import re
 
@@ -17,7 +18,7 @@ LIGHTS = np.stack([WIDE * np.cos(TURN), WIDE * np.sin(TURN), HEIGHT], axis=-1)
 
 
 def ball(*, specular=0.3, albedo=0.5):
-    """A matt ball with a Phong lobe under LIGHTS, written out, with the noise of a sensor."""
+    """Return a matte ball with a Phong lobe under LIGHTS, with sensor noise."""
     y, x = (SIDE - 1) / 2 - np.mgrid[:SIDE, :SIDE][0], np.mgrid[:SIDE, :SIDE][1] - (SIDE - 1) / 2
     flat = (x**2 + y**2) / RADIUS**2
     z = np.sqrt(np.clip(1 - flat, 0, None))
@@ -40,7 +41,7 @@ def observed(images, lights, **sphere):
     return read_reflectance_observation(rig, load=load)
 
 
-def test_shading_tells_the_directions():
+def test_shading_gives_the_directions():
     observation = observed(ball(), LIGHTS)
     shown, told = directions_by_shading(observation)
     assert told.all()
@@ -56,7 +57,7 @@ def test_copies_of_an_image_are_named():
     assert "7.tif" in sentences[0]
 
 
-def test_an_encoding_that_a_fit_has_found_is_undone_first():
+def test_an_encoding_found_by_a_fit_is_undone_first():
     encoded = [np.round(4095 * (image / 4095) ** (1 / 2.2)).astype(np.uint16) for image in ball()]
     observation = observed(encoded, LIGHTS)
     assert "the camera's gamma" in contradictions(observation)[0]
@@ -75,17 +76,17 @@ def test_an_encoding_that_a_fit_has_found_is_undone_first():
     ],
     ids=["y", "x", "exchanged", "order", "turned", "one"],
 )
-def test_what_speaks_against_the_rig_is_said(lights, expected):
+def test_contradictions_of_the_rig_are_named(lights, expected):
     images = [image for image, light in zip(ball(), lights, strict=True) if light[2] > 0]
     [sentence] = contradictions(observed(images, lights[lights[:, 2] > 0]))
     assert re.search(expected, sentence), sentence
 
 
-def test_an_outline_beyond_the_object_is_said():
+def test_an_outline_beyond_the_object_is_named():
     [sentence] = contradictions(observed(ball(), LIGHTS, radius=31.5))
     assert "of the object's pixels stay dark under every light" in sentence
 
 
-def test_a_mirror_tells_no_direction():
+def test_a_mirror_gives_no_direction():
     mirror = ball(albedo=2e-3, specular=3.0)
     assert not directions_by_shading(observed(mirror, LIGHTS))[1].any()

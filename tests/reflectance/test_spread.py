@@ -1,4 +1,4 @@
-"""The spread of residuals, as fitted, against simulation and closed forms."""
+"""Tests the fitted spread of residuals against simulation and closed forms."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def draw(rng, signal, spread):
     return np.sqrt(squared) * rng.standard_normal(signal.size)
 
 
-def test_variance_adds_what_it_says():
+def test_variance_is_the_sum_of_its_terms():
     spread = Spread(floor=4.0, shot=0.5, relative=0.1)
     np.testing.assert_allclose(
         variance(spread, np.array([100.0]), slope=2.0), 4 * (4 + 50 + 100) + 1 / 12, rtol=1e-14
@@ -21,7 +21,7 @@ def test_variance_adds_what_it_says():
     assert sensor_spread(0.5, 6.0) == Spread(9.0, 0.5, None)
 
 
-def test_a_known_sensor_that_explains_the_residuals_stays():
+def test_a_known_sensor_that_explains_the_residuals_is_kept():
     rng = np.random.default_rng(0)
     signal = rng.uniform(10, 3000, COUNT)
     sensor = sensor_spread(0.25, 6.0)
@@ -35,7 +35,7 @@ def test_a_relative_error_beyond_the_sensor_is_found():
     sensor = sensor_spread(0.25, 6.0)
     truth = Spread(sensor.floor, sensor.shot, 0.01)
     found = fit_spread(draw(rng, signal, truth), signal, np.ones(COUNT), sensor=sensor)
-    # Relative error of a standard deviation from N residuals that it dominates: about 1 / sqrt(N).
+    # The relative error of a standard deviation from N residuals is about 1 / sqrt(N).
     np.testing.assert_allclose(found.relative, 0.01, rtol=5 / np.sqrt(COUNT) * 2)
 
 

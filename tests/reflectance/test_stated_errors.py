@@ -1,4 +1,4 @@
-"""What a rig calls uncertain widens a fit of reflectance by as much as refits move."""
+"""Tests that stated errors of a rig widen a reflectance fit by as much as refits change."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -49,8 +49,8 @@ def fitted():
 
 
 @pytest.mark.slow
-def test_each_error_pulls_as_a_refit_moves(fitted):
-    """Refits with one light 1 % brighter, and with the black level 2 DN higher."""
+def test_each_error_has_the_effect_of_a_refit(fitted):
+    """The refits have one light 1 % brighter, and the black level 2 DN higher."""
     observation, fit = fitted
     sizes = {"intensity_sd": np.full(5, 0.01)}
     plain = fit(uncertain=sizes, black_sd=2.0)
@@ -69,7 +69,7 @@ def test_each_error_pulls_as_a_refit_moves(fitted):
 
 
 def turned_by_hand(observation, size, about):
-    """The third light turned about either axis across it."""
+    """Return an observation with the third light rotated about either axis perpendicular to it."""
     light = observation.wi[2, 0]
     axis = np.cross(light, np.eye(3)[np.argmin(np.abs(light))])
     axis = axis if about == 0 else np.cross(light, axis)
@@ -83,8 +83,9 @@ def turned_by_hand(observation, size, about):
 
 @pytest.mark.parametrize("about", [0, 1])
 @pytest.mark.sweep
-def test_a_turned_light_is_turned_back(fitted, about):
-    """Its rig believes it within 3 times as much: what is left is what the fit calls uncertain."""
+def test_a_rotated_light_is_estimated(fitted, about):
+    """The rig states three times the rotation as its error. The remaining rotation is within the
+    fit's error."""
     observation, fit = fitted
     size, known = 5e-3, np.zeros(5)
     known[2] = 3 * size
@@ -108,7 +109,7 @@ def test_a_turned_light_is_turned_back(fitted, about):
 
 @pytest.mark.slow
 def test_lights_are_as_uncertain_as_their_images_show(fitted):
-    """Off by four times what its rig says, a light is turned, and counts as that uncertain."""
+    """A light with an error four times the stated one is estimated, and gets this larger error."""
     observation, fit = fitted
     wrong, known = turned_by_hand(observation, 0.01, 0), np.zeros(5)
     known[2] = 0.01
@@ -131,7 +132,7 @@ def test_lights_are_as_uncertain_as_their_images_show(fitted):
 
 
 @pytest.mark.slow
-def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypatch):
+def test_light_rotations_converge_from_a_partial_fit(fitted, monkeypatch):
     _, fit = fitted
     uncertain = {"direction_sd": np.full(5, 5e-3)}
     whole = fit(uncertain=uncertain)
@@ -143,8 +144,9 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
 
 
 @pytest.mark.parametrize("core", [0.0, 0.6])
-def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
-    """Parameters and two turns by finite differences, their normal equations inverted whole."""
+def test_rotations_take_the_information_of_a_joint_fit(fitted, core):
+    """Parameters and two rotations are differentiated numerically, and their normal equations
+    inverted."""
     observation, fit = fitted
     known = np.zeros(5)
     known[2] = 5e-3
@@ -176,9 +178,9 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("degrees", "lights"), [(0.5, 12), (1.0, 4), (1.0, 24)])
-def test_intervals_hold_where_highlights_are_smeared(degrees, lights):
-    """With lights left where the rig put them, 36 and 14 % of the intervals of k_s held, of 12 and
-    of 24 lights off by a degree."""
+def test_intervals_cover_if_highlights_are_smeared(degrees, lights):
+    """With the stated directions, 36 and 14 % of the intervals of k_s covered, for 12 and 24 lights
+    with errors of one degree."""
     sphere = Sphere(direction_sd=np.radians(degrees), lights=lights, stated=("direction_sd",))
     places = np.array([reflectance.places(sphere, seed) for seed in range(60)])
     for found in coverage(places, reflectance.NAMES):
@@ -203,9 +205,10 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     np.testing.assert_array_equal(found.freedom, wide.freedom)
 
 
-def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
-    """The bound by the samples one by one: the black level moves all of them together, a light
-    those of its image; both go, and the larger error of the directions stays."""
+def test_negligible_errors_are_left_out_with_their_bound(fitted):
+    """The bound is computed for single samples: the black level changes all samples together, and a
+    light those of its image. Both are negligible and left out, and the larger errors of the
+    directions stay."""
     _, fit = fitted
     sizes = {"exposure_sd": np.full(5, 1e-5), "direction_sd": np.full(5, 5e-3)}
     found = fit(uncertain=sizes, black_sd=1e-3)
@@ -234,7 +237,8 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
 
 
 def test_the_likelihood_traces_no_stated_error(fitted):
-    """Errors widen the covariance of a fit; its likelihood is the same program with and without."""
+    """Errors widen the covariance of a fit. Its likelihood is the same program with and without
+    them."""
     _, fit = fitted
     found = [fit(), fit(uncertain={"exposure_sd": np.full(5, 0.01)}, black_sd=2.0)]
     plain, stated = (str(jax.make_jaxpr(log_likelihoods)(own.vector, own.samples)) for own in found)
@@ -243,7 +247,7 @@ def test_the_likelihood_traces_no_stated_error(fitted):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["4 lights off by 1 %, as stated", "black off by 3 DN, as stated"])
-def test_intervals_under_stated_errors_hold(case):
+def test_intervals_under_stated_errors_cover(case):
     sphere = reflectance.CASES[case]
     places = simulated(lambda seed: reflectance.places(sphere, seed), 200, parameters=3)
     for one in coverage(places, reflectance.NAMES):
@@ -251,8 +255,8 @@ def test_intervals_under_stated_errors_hold(case):
         assert 0.8 < one.z_sd < 1.25
 
 
-def test_what_turns_leave_is_what_their_elimination_leaves(fitted):
-    """Products of slopes and errors beyond the turns, by the inverse of 1 + S S^T itself."""
+def test_eliminating_rotations_equals_the_dense_inverse(fitted):
+    """The reference multiplies gradients and residuals by the inverse of 1 + S S^T."""
     _, fit = fitted
     found, rng = fit(), np.random.default_rng(0)
     count, light = len(found.selection.light), found.selection.light
@@ -269,8 +273,8 @@ def test_what_turns_leave_is_what_their_elimination_leaves(fitted):
 
 
 def test_rotations_and_parameters_are_fitted_together(fitted):
-    """One step from the true optimum of both, by a dense least squares; five lights of which each
-    error is shared in part."""
+    """One step from the true optimum of both equals dense least squares, for five lights whose
+    errors are partly shared."""
     found, rng = fitted[1](), np.random.default_rng(3)
     samples, light = found.samples, found.selection.light
     prediction = predict(found.vector + 0.1, samples)
@@ -289,9 +293,9 @@ def test_rotations_and_parameters_are_fitted_together(fitted):
     np.testing.assert_allclose(turns.ravel(), best, rtol=1e-6, atol=1e-8)
 
 
-def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):
-    """Residuals r = S e + noise of three lights, against scipy's normal density of r, whose
-    covariance is 1 + S S^T; where four samples count as one, S S^T / 4."""
+def test_the_evidence_with_rotations_equals_their_integral(fitted):
+    """For residuals r = S e + noise of three lights, the reference is SciPy's normal density of r
+    with covariance 1 + S S^T, or S S^T / 4 if four samples count as one."""
     fit = fitted[1]()
     rng, light = np.random.default_rng(4), np.repeat(np.arange(3), 20)
     deviation, moves = rng.uniform(1, 3, 60), 2 * rng.standard_normal((2, 60))
@@ -312,9 +316,9 @@ def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):
         assert fit.log_evidence(effect) == fit.log_likelihood / effect
 
 
-def test_light_in_shadows_widens_by_the_effect_of_as_much_on_all_pixels(fitted):
-    """A black level of 20 DN that nobody stated: the amplitude is beyond its errors without the
-    widening, and within them with it. Shadows that are black change nothing."""
+def test_light_in_shadows_widens_by_its_effect_on_all_pixels(fitted):
+    """The unstated black level is wrong by 20 DN. Without widening the amplitude is outside its
+    errors, and with it inside. Black shadows change nothing."""
     observation, fit = fitted
     plain = fit()
     wrong = fit(black=observation.black - 20.0)
@@ -325,5 +329,5 @@ def test_light_in_shadows_widens_by_the_effect_of_as_much_on_all_pixels(fitted):
     assert abs(moved[0]) < 1.96 * wide[0]
     assert not len(plain.stated.common)
     assert not any(error.name == "black_sd" for error in plain.stated.left_out)
-    stated = fit(black=observation.black - 20.0, black_sd=10.0)  # which explains the light
+    stated = fit(black=observation.black - 20.0, black_sd=10.0)  # explains the light
     np.testing.assert_allclose(stated.stated.common, wrong.stated.common / 2, rtol=1e-3)

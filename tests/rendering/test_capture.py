@@ -1,4 +1,5 @@
-"""The whole path against a naive loop, and proof that what is absent leaves nothing behind."""
+"""Tests the whole chain against a naive loop, and that absent effects leave nothing in the
+program."""
 
 import base64
 import io
@@ -39,7 +40,7 @@ LAMBERT_ONLY = s.Scene(
 
 
 def plain_scene():
-    """The same scene for the loop."""
+    """Return the same scene for the loop."""
     surfaces = []
     for surface in SURFACES:
         shape, m = surface.shape, surface.material
@@ -85,13 +86,14 @@ draw = jax.jit(render)
 @pytest.mark.parametrize("view", [PINHOLE, PARALLEL], ids=["pinhole", "orthographic"])
 def test_picture_against_the_naive_loop(view):
     expected = loops.render(*plain_scene(), plain_rays(view), BANDS)
-    assert (expected == 0).all(axis=-1).any()  # shadowed, or in the pinhole view the sky
+    assert (expected == 0).all(axis=-1).any()  # in shadow, or sky for the pinhole
     assert (expected > 0).all(axis=-1).mean() > 0.5
     np.testing.assert_allclose(draw(SCENE, view), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_stages_fit_together():
-    """1 W m^-2 sr^-1 through f/2 is pi / 16 W m^-2 on the axis; then by hand to DN and to sRGB."""
+    """1 W m^-2 sr^-1 through f/2 gives pi / 16 W m^-2 on the axis. DN and sRGB then follow by
+    hand."""
     wall = s.Surface(s.Plane([0, 0, 2], [0, 0, -1]), jv.Lambert([0.0], ambient=[1.0]))
     scene = s.Scene([wall], [], s.AmbientLight([1.0]))
     view = s.Pinhole([0, 0, 0], np.eye(3), 1, 1e-9, resolution=(1, 1), f_number=2)
@@ -108,7 +110,7 @@ def test_stages_fit_together():
 
 
 @pytest.mark.slow
-def test_keys_draw_what_they_should():
+def test_keys_determine_the_right_draws():
     sensor = s.Sensor(exposure_time=100.0, prnu=0.1, read_noise=1.0)
     camera = s.Camera(PINHOLE, sensor)
     a, b = jax.random.split(jax.random.key(0))
@@ -121,7 +123,7 @@ def test_keys_draw_what_they_should():
     np.testing.assert_array_equal(first[~lit], other_die[~lit])
 
 
-# ------------------------------------------------ only what the scene calls for
+# ------------------------------------------------ only effects of the scene
 
 RANDOM = r"random_bits|threefry|random_wrap|random_fold_in"
 
@@ -158,7 +160,7 @@ def test_one_compilation_serves_lights_and_materials():
 
 @pytest.mark.slow
 def test_a_measured_material_is_not_copied_for_every_pixel():
-    """Two tables of 2 MB on 64 x 64 pixels: what is in memory stays near the tables' size."""
+    """With two tables of 2 MB and 64 x 64 pixels, memory stays close to the tables' size."""
     angles = jnp.linspace(0.0, 1.5, 25)
     table = jv.IsotropicTable(
         angles, angles, jnp.linspace(0.0, 3.1, 26), jnp.full((25, 25, 26, 16), 0.2)
@@ -174,13 +176,13 @@ def test_a_measured_material_is_not_copied_for_every_pixel():
 
 
 def moved(scene, view, time):
-    """The camera glides to the right at 0.5 m/s."""
+    """Move the camera to the right at 0.5 m/s."""
     right = jnp.asarray(ROTATION[0])
     return scene, replace(view, position=view.position + 0.5 * time * right)
 
 
 @pytest.mark.slow
-def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
+def test_a_motion_is_the_mean_over_its_moments():
     sensor = s.Sensor(exposure_time=0.4)
     view = replace(PARALLEL, resolution=(4, 5))
     take = jax.jit(lambda camera: capture(None, LAMBERT_ONLY, camera, motion=moved, moments=2))
@@ -188,7 +190,8 @@ def test_a_motion_is_the_mean_of_what_is_seen_on_the_way():
     still = [draw(*moved(LAMBERT_ONLY, view, time)) for time in (0.1, 0.3)]
     np.testing.assert_allclose(shot.radiance, (still[0] + still[1]) / 2, rtol=1e-12)
     rolling = take(s.Camera(view, replace(sensor, shutter=s.RollingShutter(0.4 / 3))))
-    # the span is 0.8 s in two slots: the first row sees the first alone, the last the second
+    # the span is 0.8 s in two slots; the first row sees only the first slot, and the last only the
+    # second
     seen = [draw(*moved(LAMBERT_ONLY, view, time)) for time in (0.2, 0.6)]
     np.testing.assert_allclose(rolling.irradiance[0], seen[0][0], rtol=1e-12)
     np.testing.assert_allclose(rolling.irradiance[3], seen[1][3], rtol=1e-12)
@@ -209,7 +212,7 @@ def test_oversampled_pixels_are_means_over_their_apertures():
 
 
 @pytest.mark.slow
-def test_a_mosaic_is_captured_as_one_number_a_pixel():
+def test_a_mosaic_is_captured_with_one_number_per_pixel():
     colours = s.ColourFilter(np.eye(3), pattern=((0, 1), (1, 2)))
     shot = jax.jit(capture)(None, SCENE, s.Camera(PINHOLE, s.Sensor(colour_filter=colours)))
     assert shot.irradiance.shape == (10, 12, 3)
@@ -228,8 +231,9 @@ HALF_WALL = s.Scene(
 
 
 @pytest.mark.slow
-def test_a_captured_picture_is_spread_by_diffraction():
-    """By an Airy pattern of scipy's Bessel function, integrated over the pixels by midpoints."""
+def test_a_captured_picture_is_blurred_by_diffraction():
+    """The reference Airy pattern uses SciPy's Bessel function, integrated over pixels by
+    midpoints."""
     view = replace(LENS, focus_distance=None, f_number=jnp.asarray(8.0), pixel_pitch=1.5e-6)
     wave, size, n = 5e-7, 21, 96
     bent = replace(view, diffraction=s.Diffraction(wave, size=size))
@@ -251,8 +255,9 @@ def test_a_captured_picture_is_spread_by_diffraction():
 
 
 @pytest.mark.slow
-def test_what_bounces_is_what_the_integrator_finds():
-    """A box of one floor and a shining wall: the radiance of paths, then the camera as ever."""
+def test_multiple_reflections_are_those_of_the_integrator():
+    """The scene is a box of a floor and a wall with emission. The radiance is from paths, and the
+    camera unchanged."""
     wall = s.Surface(s.Quad([-2, 2, 0], [4.0, 0, 0], [0, 0, 4.0]), jv.Lambert([0.1] * 3), [2.0] * 3)
     room = s.Scene([wall, *LAMBERT_ONLY.surfaces[:2]], [])
     camera = s.Camera(replace(PINHOLE, f_number=4.0), s.Sensor(gain=3.0))
@@ -264,7 +269,7 @@ def test_what_bounces_is_what_the_integrator_finds():
     apart = np.abs(shot.radiance - found.mean(axis=0)) / np.maximum(error, 1e-3)
     assert np.median(apart) < 1
     assert shot.radiance.mean() > 0.1
-    # the standard error is that of pictures by other keys, through the lens it is unchanged
+    # the standard error is the scatter of pictures with other keys, and a lens does not change it
     assert shot.error is not None
     assert np.sqrt((shot.error**2).mean() / (error**2).mean()) == pytest.approx(1, abs=0.3)
     whole = float(np.sqrt((shot.error**2).mean() / (shot.radiance**2).mean()))
@@ -288,7 +293,7 @@ def test_what_bounces_is_what_the_integrator_finds():
 
 
 @pytest.mark.slow
-def test_radiance_that_no_lens_made_irradiance_is_told():
+def test_radiance_without_a_lens_is_named():
     photons = s.PhotonConversion(wavelength=550e-9, pixel_area=25e-12)
     camera = s.Camera(PINHOLE, s.Sensor(exposure_time=0.01, photon_conversion=photons))
     with pytest.warns(UserWarning, match="the view has no f_number"):
@@ -309,7 +314,7 @@ def test_radiance_that_no_lens_made_irradiance_is_told():
         ({"integrator": lambda scene, view: None, "tolerance": "1DN"}, "got a function"),
     ],
 )
-def test_an_integrator_that_does_not_fit_is_refused(options, said):
+def test_a_mismatched_integrator_is_refused(options, said):
     with pytest.raises(ValueError, match=said):
         capture(None, SCENE, s.Camera(PINHOLE, s.Sensor()), **options)
 
@@ -336,7 +341,7 @@ def test_unequal_bands_are_refused_before_anything_is_rendered(sensor):
         (s.Sensor(prnu=0.01), "die_key"),
     ],
 )
-def test_a_missing_key_is_told_before_anything_is_rendered(sensor, missing, monkeypatch):
+def test_a_missing_key_is_refused_before_rendering(sensor, missing, monkeypatch):
     rendered = []
     monkeypatch.setattr("jaxvision.shot.render", lambda *_, **__: rendered.append(1))
     with pytest.raises(ValueError, match=rf"^{missing} must be a random key, got None"):
@@ -345,7 +350,7 @@ def test_a_missing_key_is_told_before_anything_is_rendered(sensor, missing, monk
 
 
 @pytest.mark.slow
-def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
+def test_a_camera_in_the_scenes_bands_is_accepted():
     sensor = jv.read_camera("emva1288", wavelengths=[610e-9, 550e-9, 465e-9]).sensor
     with pytest.warns(UserWarning, match=r"gets 0\.0052 photons .* without a photon_conv"):
         shot = capture(
@@ -358,8 +363,9 @@ def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
     assert shot.raw.shape == (10, 12, 3)
 
 
-def test_capture_has_a_slope_by_the_exposure_time():
-    """Of a known scene, where only the exposure is traced: the light times the efficiency."""
+def test_capture_has_a_derivative_by_the_exposure_time():
+    """The scene is known, and only the exposure is traced. The derivative is the light times the
+    efficiency."""
 
     def mean(exposure):
         sensor = s.Sensor(
@@ -375,7 +381,7 @@ def test_capture_has_a_slope_by_the_exposure_time():
 
 
 def shown(shot):
-    """(h, w, 3) of the picture in what a notebook shows."""
+    """Return the picture (h, w, 3) shown in a notebook."""
     (found,) = re.findall('src="data:image/png;base64,([^"]+)"', shot._repr_html_())
     return plt.imread(io.BytesIO(base64.b64decode(found)))[..., :3]
 

@@ -1,4 +1,4 @@
-"""Derivatives of moving edges against closed forms: what a picture gains and loses at its edges."""
+"""Tests derivatives of moving edges against closed forms."""
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +13,14 @@ BLACK, GREY = jv.Lambert([0.0]), jv.Lambert([0.5 / np.pi])
 DOWN = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
 TURNED = np.array([[2, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
 FLOOR = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), GREY)
-# below what casts shadows, so that the floor alone is seen
+# below the occluders, so that only the floor is seen
 UNDER = jv.Orthographic([0, 0, 0.1], DOWN, 0.25, resolution=(40, 40))
 
 
 @pytest.mark.slow
-def test_each_pixel_gains_its_part_of_the_outline():
-    """A disc of unit radiance whose radius grows: the length of its outline in each pixel."""
+def test_each_pixel_gets_its_part_of_the_outline():
+    """The radius of a disc of unit radiance grows. The derivative is the length of its outline in
+    each pixel."""
 
     def picture(radius):
         lamp = jv.Surface(jv.Disc([0.1, 0.2, 0], [0, 0, 1], radius), BLACK, [1.0])
@@ -33,12 +34,12 @@ def test_each_pixel_gains_its_part_of_the_outline():
     lengths *= 2 * np.pi * 3 / 0.25 / len(turn)  # per area of a pixel
     np.testing.assert_allclose(gains, lengths, atol=0.02 * lengths.max())
     without = jax.jit(lambda radius: picture(radius))(jnp.array(3.0))
-    assert set(np.unique(without)) == {0.0, 1.0}  # the value is that of one ray per pixel
+    assert set(np.unique(without)) == {0.0, 1.0}  # values are of one ray per pixel
 
 
 @pytest.mark.slow
-def test_a_sphere_that_nears_a_pinhole():
-    """The image of a sphere on the axis is a disc of the radius f tan(arcsin(r / d))."""
+def test_a_sphere_that_approaches_a_pinhole():
+    """The image of a sphere on the axis is a disc of radius f tan(arcsin(r / d))."""
 
     def area(distance):
         ball = jv.Surface(jv.Sphere(jnp.array([0, 0, 1.0]) * distance, 1.0), BLACK, [1.0])
@@ -67,7 +68,7 @@ def test_a_box_from_straight_above():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "disc", "quad", "box"])
 def test_shadows_of_a_sun(kind):
-    """A shadow under the light (0.6, 0, 0.8), which loses the radiance 0.5 / pi x 0.8."""
+    """Under a light from (0.6, 0, 0.8), the shadow loses the radiance 0.5 / pi x 0.8."""
 
     def floor(size):
         shape = {
@@ -79,7 +80,7 @@ def test_shadows_of_a_sun(kind):
         scene = jv.Scene([FLOOR, jv.Surface(shape, BLACK)], jv.DirectionalLight([0.6, 0, 0.8], [1]))
         return jv.render(scene, UNDER, edges=jv.Edges()).sum() * 0.25**2
 
-    area = {  # of the shadow of unit size: its power of the size
+    area = {  # area of the shadow of unit size, and its power of the size
         "sphere": (np.pi / 0.8, 2),
         "disc": (np.pi, 2),
         "quad": (1.0, 1),
@@ -92,7 +93,8 @@ def test_shadows_of_a_sun(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["radius", "height"])
 def test_soft_shadow_of_a_ball(name):
-    """The floor loses what falls on the ball: pi L (r / d)^2 cos for each area of the lamp."""
+    """The floor loses the light that falls on the ball: pi L (r / d)^2 cos for each area of the
+    lamp."""
 
     def floor(value):
         size, height = (value, 2.0) if name == "radius" else (0.5, value)
@@ -115,8 +117,8 @@ def test_soft_shadow_of_a_ball(name):
     np.testing.assert_allclose(jax.grad(floor)(at), expected, rtol=1e-2)
 
 
-def test_nothing_is_computed_where_no_edge_moves():
-    """The derivative in the light of a lamp is that without edges, by the same program."""
+def test_nothing_is_computed_if_no_edge_moves():
+    """The derivative by the intensity of a lamp equals that without edges, in the same program."""
     ball = jv.Surface(jv.Sphere([0, 0, 2], 0.5), GREY)
 
     def total(light, **given):
@@ -131,8 +133,8 @@ def test_nothing_is_computed_where_no_edge_moves():
     assert more.cost_analysis()["flops"] == plain.cost_analysis()["flops"] > 0
 
 
-def test_a_half_covered_rectangle_gains_what_its_side_sweeps():
-    """A side at column 2 + x of rows 0.5 to 2.5, which moves by 1, with 3 in front of it."""
+def test_a_moving_side_of_a_rectangle_gives_its_swept_area():
+    """The side at column 2 + x of rows 0.5 to 2.5 moves by 1, with a jump of 3."""
     view = jv.Orthographic([0, 0, 5], DOWN, 1.0, resolution=(4, 5))
     middles = (np.arange(40) + 0.5) / 40 * 2
     place = np.float32(np.stack([0.5 + middles, np.full(40, 2.2)], axis=1))
@@ -147,8 +149,8 @@ def test_a_half_covered_rectangle_gains_what_its_side_sweeps():
 
 @pytest.mark.parametrize("distance", [3.0, np.inf])
 def test_the_rim_of_a_sphere_is_a_zone(distance):
-    """Archimedes: the area between two heights on the axis to the eye is 2 pi R times their
-    difference. The heights are where the cosine of the angle of view is 0 and the limit."""
+    """By Archimedes, the area between two heights along the axis to the eye is 2 pi R times their
+    difference. At these heights the cosine of the view angle is 0 and the limit."""
     radius, limit = 0.8, 0.4
     ball = edges._faces(jv.Scene(jv.Surface(jv.Sphere([1, 2, 3], radius), GREY), []))
     axis = np.array([2.0, -1, 2]) / 3
@@ -164,7 +166,7 @@ def test_the_rim_of_a_sphere_is_a_zone(distance):
     at = jnp.asarray(np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2))
     found = jax.jit(lambda at: jax.vmap(area)(at).mean())(at)
 
-    def cosine_of_view(height):  # at a height on the axis, by the cosine rule
+    def cosine_of_view(height):  # by the cosine rule
         if not near:
             return height / radius
         way = np.sqrt(distance**2 + radius**2 - 2 * distance * height)
@@ -174,9 +176,9 @@ def test_the_rim_of_a_sphere_is_a_zone(distance):
     np.testing.assert_allclose(found, 2 * np.pi * radius * (ends[1] - ends[0]), rtol=1e-4)
 
 
-def test_more_samples_go_to_pixels_chosen_by_their_edges():
-    """The derivative of a chosen pixel becomes the mean of five groups of samples, whatever the
-    first group is."""
+def test_more_samples_are_used_in_pixels_with_edges():
+    """The derivative of a chosen pixel is the mean of five groups of samples, whatever the first
+    group is."""
     rng = np.random.default_rng(3)
     slopes, contrast = rng.normal(size=(5, 5, 6, 2)), rng.uniform(size=(5, 6))
     samples = jv.PixelSamples(jax.random.key(0), 4)
@@ -190,7 +192,7 @@ def test_more_samples_go_to_pixels_chosen_by_their_edges():
         return edges._sample_edge_pixels(again, theta, 1.0, pixels, samples, contrast)
 
     gain = gained(1.0, contrast)
-    chosen = contrast >= np.sort(contrast.ravel())[-22]  # as many as pixels on the border
+    chosen = contrast >= np.sort(contrast.ravel())[-22]  # as many as border pixels
     expected = np.where(chosen[..., None], slopes.mean(0) - slopes[0], 0)
     np.testing.assert_allclose(gain, expected, atol=1e-6)
 
@@ -200,7 +202,7 @@ NARROW = np.array([0.05, 0, 1]) / np.hypot(0.05, 1)  # direction of a quad's sid
 
 @pytest.mark.slow
 def test_a_narrow_face_needs_few_samples():
-    """A quad seen at a grazing angle, 0.3 x 6 pixels in the picture, moves toward a lamp."""
+    """A quad at a grazing angle, 0.3 x 6 pixels in the picture, moves toward a lamp."""
     corner, along = np.array([0.03, -1.5, -1.5]), np.array([0, 3.0, 0])
 
     def total(height):
@@ -226,8 +228,8 @@ def test_a_narrow_face_needs_few_samples():
 
 
 @pytest.mark.slow
-def test_the_rim_of_a_small_ball():
-    """Half of a Lambert ball, lit from the side, gives 2 / 3 of R^2 times its BRDF."""
+def test_the_outline_of_a_small_ball():
+    """Half of a Lambertian ball, lit from the side, gives 2 / 3 of R^2 times its BRDF."""
 
     def total(radius):
         ball = jv.Surface(jv.Sphere([0.1, 0.2, 0], radius), jv.Lambert([1.0]))
@@ -242,7 +244,7 @@ def test_the_rim_of_a_small_ball():
 
 @pytest.mark.slow
 def test_further_samples_add_no_bias():
-    """The mean of 200 derivatives of the light of half of a Lambert ball."""
+    """The mean is over 200 derivatives of the light from half of a Lambertian ball."""
 
     def total(radius, key):
         ball = jv.Surface(jv.Sphere([0.1, 0.2, 0], radius), jv.Lambert([1.0]))
@@ -263,8 +265,8 @@ def test_further_samples_add_no_bias():
 
 @pytest.mark.slow
 def test_a_disc_out_of_focus():
-    """A lens spreads the image of a disc over 3 pixels more, and keeps its sum and its middle."""
-    scale = 0.05 / (1 - 0.05 / 4) / 3 / 0.003  # pixels per metre at 3 m, in focus at 4 m
+    """A lens blurs the image of a disc over 3 more pixels, with the same sum and centre."""
+    scale = 0.05 / (1 - 0.05 / 4) / 3 / 0.003  # pixels per metre at 3 m, focused at 4 m
 
     def moments(disc):
         radius, across = disc

@@ -1,4 +1,5 @@
-"""Lights in order: no pixel lacks more than the threshold, whatever the scene."""
+"""Tests lights sorted by their contribution: no pixel lacks more than the threshold, in any
+scene."""
 
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ VIEW = jv.Pinhole([0, 1.5, -6], np.diag([-1.0, -1, 1]), 0.05, 0.05 / 12, resolut
 
 
 def crowded(seed, *, lamps=12, bands=2):
-    """Balls, boxes and lamps of several kinds on a floor. All seeds share one program."""
+    """Return balls, boxes and lamps of several types on a floor. All seeds share one program."""
     rng = np.random.default_rng(seed)
 
     def material(glossy):
@@ -42,7 +43,8 @@ def crowded(seed, *, lamps=12, bands=2):
 
 
 def missing(seeds):
-    """(least, most) of full less ordered, in thresholds, over all pixels of all seeds."""
+    """Return (least, largest) of full minus sorted radiance in thresholds, over all pixels and
+    seeds."""
     ordered = jax.jit(lambda scene, least: jv.render(scene, VIEW, threshold=least))
     least, most, reduced = np.inf, -np.inf, 0
     for seed in seeds:
@@ -51,7 +53,7 @@ def missing(seeds):
         threshold = full.max() * 10 ** np.random.default_rng(seed).uniform(-3, -1)
         plain = np.asarray(ordered(scene, 0.0))
         found = full - np.asarray(ordered(scene, threshold))
-        # at an edge, where rays start a rounding apart, the oracle may see something else
+        # at an edge, where rays differ by rounding, the oracle may hit another surface
         edge = (np.abs(plain - full) > 1e-9 * full.max()).any(-1)
         assert edge.mean() < 0.05
         found = found[~edge] / threshold
@@ -70,8 +72,8 @@ def test_no_pixel_lacks_more_than_the_threshold():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [jv.Quadrature(2), jv.MonteCarlo(jax.random.key(2), 3)])
-def test_behind_a_lens_with_lamps_of_some_size(rule):
-    """Within the threshold of the picture with all shadow rays."""
+def test_behind_a_lens_with_extended_lamps(rule):
+    """The result is within the threshold of the picture with all shadow rays."""
     scene = crowded(3, lamps=9)
     lamp = jv.RectangleLight([-3, 3, 0], [0.5, 0, 0], [0, 0, 0.5], [4.0, 2.0])
     lens = jv.ThinLens([0, 1.5, -6], VIEW.rotation, 0.05, 0.004, resolution=(16, 16), f_number=0.2)
@@ -95,7 +97,7 @@ def test_behind_a_lens_with_lamps_of_some_size(rule):
 
 
 def street(lamps=100, houses=60):
-    """Two rows of lamps and of houses along a street, seen from its end."""
+    """Return two rows of lamps and houses along a street, seen from its end."""
     rng = np.random.default_rng(0)
     long, grey = 10.0 * lamps, jv.Lambert(np.full(3, 0.3 / np.pi))
     surfaces = [jv.Surface(jv.Quad([-9, 0, -5], [0, 0, long + 20], [18, 0, 0]), grey)]
@@ -113,7 +115,7 @@ def street(lamps=100, houses=60):
 
 
 @pytest.mark.slow
-def test_a_street_of_100_lamps_takes_few_shadow_rays(monkeypatch):
+def test_a_street_of_100_lamps_needs_few_shadow_rays(monkeypatch):
     scene, view = street()
     pruned = effects.prune(scene, view, "1%")
     (dropped,) = [e for e in pruned.certificate.dropped if e.name == "lights in order"]
@@ -135,7 +137,7 @@ def test_a_street_of_100_lamps_takes_few_shadow_rays(monkeypatch):
 
 
 @pytest.mark.slow
-def test_few_lights_few_shapes_and_fits_keep_all_shadow_rays():
+def test_few_lights_few_shapes_and_fits_use_all_shadow_rays():
     few, view = street(lamps=8, houses=8)
     assert effects.prune(few, view, "1%", level=1.0).threshold is None
     many, _ = street(lamps=10, houses=8)

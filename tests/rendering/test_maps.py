@@ -1,5 +1,5 @@
-"""Maps of a material: means over boxes are those of a loop over texels, a checker through a pinhole
-is a closed form, and normal maps keep reflection above the horizon."""
+"""Tests maps of a material: means over boxes equal a loop over texels, a checker through a pinhole
+has a closed form, and normal maps keep reflection above the horizon."""
 
 from dataclasses import replace
 
@@ -13,20 +13,20 @@ from jaxvision import effects
 from jaxvision.rendering.maps import shading_normal
 from jaxvision.transport import radiosity
 
-CARD = jv.Quad([-1, -1, 2], [0, 2, 0], [2, 0, 0])  # faces the origin; u along y
+CARD = jv.Quad([-1, -1, 2], [0, 2, 0], [2, 0, 0])  # faces the origin, with u along y
 SUN = jv.DirectionalLight([0, 0, -1], [1.0])
 VIEW = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.013, resolution=(60, 60))
 
 
 def hat(t):
-    """The integral of the hat function up to t."""
+    """Return the integral of the hat function up to t."""
     return np.where(
         t <= -1, 0, np.where(t <= 0, (t + 1) ** 2 / 2, np.where(t <= 1, 1 - (1 - t) ** 2 / 2, 1))
     )
 
 
 def shares(a, b, count, wrap):
-    """The weight of each texel in the mean over a side, from a to b in maps."""
+    """Return the weight of each texel in the mean from a to b (in map widths) along one side."""
     a, b = a * count - 0.5, b * count - 0.5
     if wrap == "clamp":
         a, b = np.clip([a, b], -0.5, count - 0.5)
@@ -39,8 +39,8 @@ def shares(a, b, count, wrap):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wrap", ["repeat", "clamp"])
-def test_means_are_those_of_a_loop_over_texels(wrap):
-    """Boxes from a hundredth of a texel to five maps, over all borders."""
+def test_means_equal_a_loop_over_texels(wrap):
+    """The boxes are from a hundredth of a texel to five map widths, for all borders."""
     rng = np.random.default_rng(0)
     values, n = rng.random((9, 5, 2)), 200
     places = rng.uniform(-0.3, 1.3, (n, 2)) if wrap == "repeat" else rng.uniform(0.05, 0.95, (n, 2))
@@ -56,7 +56,8 @@ def test_means_are_those_of_a_loop_over_texels(wrap):
 
 
 def checker():
-    """8 x 8 tiles of 16 texels of k_d 0.05 and 0.25, and the matrix from texels to pixels."""
+    """Return 8 x 8 tiles of 16 texels with k_d of 0.05 and 0.25, and the matrix from texels to
+    pixels."""
     sign = np.where(np.arange(128) // 16 % 2, -1.0, 1.0)
     values = 0.15 - 0.1 * sign[:, None] * sign
     seen = (np.arange(60) - 29.5) * 0.013
@@ -66,8 +67,8 @@ def checker():
 
 
 @pytest.mark.slow
-def test_a_checker_through_a_pinhole_is_a_closed_form():
-    """The card is parallel to the picture, so that a pixel sees a rectangle of it."""
+def test_a_checker_through_a_pinhole_equals_its_closed_form():
+    """The card is parallel to the image plane, so each pixel sees a rectangle of it."""
     values, matrix = checker()
     card = jv.Surface(CARD, jv.Lambert(jv.Map(values[..., None])))
     seen = jv.render(jv.Scene(card, SUN), VIEW)[..., 0]
@@ -75,7 +76,7 @@ def test_a_checker_through_a_pinhole_is_a_closed_form():
 
 
 @pytest.mark.slow
-def test_slopes_by_texels_are_their_shares():
+def test_derivatives_by_texels_are_their_weights():
     values, matrix = checker()
     weight = np.random.default_rng(0).random((60, 60))
 
@@ -88,8 +89,9 @@ def test_slopes_by_texels_are_their_shares():
 
 
 @pytest.mark.slow
-def test_large_sums_lose_no_digits():
-    """A small box in the far corner of a bright map of 1,500 x 1,500 texels, in float32."""
+def test_large_sums_are_accurate():
+    """The box is small and in the far corner of a bright map of 1,500 x 1,500 texels, in
+    float32."""
     values = np.random.default_rng(1).random((1500, 1500, 1)) + 50
     values[:750] += 100
     place, width = np.array([0.9913, 0.9937]), np.array([0.004, 0.003])
@@ -117,8 +119,9 @@ def test_paths_and_many_samples_see_the_same_map():
     np.testing.assert_allclose(several[..., 0], want, atol=4e-3)
 
 
-def test_values_at_places_are_those_of_mitsuba():
-    """What Mitsuba 3.9.1's `bitmap` returns for 2 x 3 texels in float32: 0 to 1 by fifths."""
+def test_interpolated_values_equal_mitsubas():
+    """Mitsuba 3.9.1's `bitmap` returns these values for 2 x 3 texels in float32, from 0 to 1 in
+    fifths."""
     texels = (np.arange(6) / 5).reshape(2, 3, 1)
     places = [(0.1, 0.2), (0.5, 0.5), (0.93, 0.71), (-0.2, 1.4)]
     known = {"repeat": [0.14, 0.5, 0.836, 0.56], "clamp": [0.0, 0.5, 0.952, 0.6]}
@@ -129,7 +132,7 @@ def test_values_at_places_are_those_of_mitsuba():
 
 
 def turned(x, y, z):
-    """The card with one normal everywhere."""
+    """Return the card with a constant normal map."""
     normals = jv.Map(np.broadcast_to([x, y, z], (2, 2, 3)))
     return jv.Surface(CARD, jv.Lambert([1 / np.pi]), normals=normals)
 
@@ -143,8 +146,9 @@ def test_a_normal_of_length_0_is_refused():
 
 
 @pytest.mark.slow
-def test_a_normal_map_shades_as_a_turned_surface():
-    """x follows growing u, which is y of the world; n x x is x of the world here."""
+def test_a_normal_map_shades_like_a_tilted_surface():
+    """x follows growing u, which is y in world coordinates. Here n x x is x in world
+    coordinates."""
     middle = replace(VIEW, resolution=(1, 1))
     lamps = [jv.DirectionalLight(way, [1.0]) for way in ([0, 0.6, -0.8], [0.6, 0, -0.8])]
     for normal in ([0.0, 0.0, 2.0], [0.3, 0.0, 1.0], [0.1, -0.4, 1.0]):
@@ -156,8 +160,8 @@ def test_a_normal_map_shades_as_a_turned_surface():
             assert seen == pytest.approx(wanted, rel=1e-5)
 
 
-def test_no_mirror_image_lies_below_the_surface():
-    """Bent normals mirror the viewer to the horizon or above it; others stay as they are."""
+def test_no_mirror_direction_is_below_the_surface():
+    """Bent normals mirror the viewer to the horizon or above it. Others are unchanged."""
     rng = np.random.default_rng(0)
     normals, viewers = rng.normal(size=(2, 1000, 3))
     for w in (normals, viewers):
@@ -179,8 +183,8 @@ def test_no_mirror_image_lies_below_the_surface():
 
 
 @pytest.mark.slow
-def test_without_maps_nothing_is_compiled_for_them():
-    """Pruned to its mean, a map leaves the program of a plain material."""
+def test_without_maps_their_code_is_not_compiled():
+    """A map pruned to its mean gives the program of a plain material."""
     values = np.full((4, 4, 1), 0.2)
     values[0, 0] += 1e-6
     varied, plain = (
@@ -194,8 +198,9 @@ def test_without_maps_nothing_is_compiled_for_them():
 
 
 @pytest.mark.slow
-def test_the_bound_of_a_map_is_near_what_its_mean_changes():
-    """One bright texel among dark ones, under a far lamp: nearly the whole range is lost there."""
+def test_the_bound_of_a_map_is_near_the_effect_of_its_mean():
+    """One texel is bright among dark ones, under a distant lamp. Nearly the whole range is lost
+    there."""
     values = np.full((8, 8, 1), 0.02)
     values[4, 4] = 0.3
     scene = jv.Scene(jv.Surface(CARD, jv.Lambert(jv.Map(values))), SUN)
@@ -208,7 +213,7 @@ def test_the_bound_of_a_map_is_near_what_its_mean_changes():
     assert 0.5 * row.bound < change <= row.bound * (1 + 1e-6)
 
 
-def test_what_maps_cannot_do_is_said():
+def test_unsupported_uses_of_maps_are_refused():
     grey = jv.Map(np.full((2, 2, 1), 0.2))
     with pytest.raises(ValueError, match=r"Disc has no texture coordinates; give Map\.uv"):
         jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 1.0), jv.Lambert(grey))

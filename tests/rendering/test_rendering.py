@@ -1,5 +1,5 @@
-"""Shadows against ray-by-ray NumPy and the closed form of a cut rectangle; what shines, both sides
-of a surface, meshes; and that an absent shadow leaves nothing behind."""
+"""Tests shadows against ray-by-ray NumPy and the closed form of a clipped rectangle, emission,
+two-sided surfaces, meshes, and that absent shadows leave nothing in the program."""
 
 from functools import partial
 
@@ -54,7 +54,8 @@ def floor_points():
 
 
 def blocked_by_ball(point, lamp):
-    """Whether the segment passes the ball: the distance of its nearest point to the centre."""
+    """Return whether the segment passes through the ball, by the distance of its nearest point from
+    the centre."""
     centre, way = np.asarray(BALL.centre), lamp - point
     t = np.clip(np.dot(centre - point, way) / np.dot(way, way), 0, 1)
     return bool(np.linalg.norm(point + t * way - centre) < float(BALL.radius))
@@ -63,7 +64,8 @@ def blocked_by_ball(point, lamp):
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_hard_shadows_against_a_loop_over_pixels(dtype):
-    """E = I cos / d^2 on the floor, where the segment to the lamp passes the ball 0."""
+    """The floor has E = I cos / d^2, and 0 where the segment to the lamp passes through the
+    ball."""
     lamp, sun = np.array([1.5, 1, 3.0]), np.array([-1.0, 0, 2])
     lights = [PointLight(lamp, [5.0, 4]), DirectionalLight(sun, [1.0, 2])]
     scene, view = as_dtype((Scene([FLOOR, Surface(BALL, Lambert(KD))], lights), VIEW), dtype)
@@ -74,7 +76,7 @@ def test_hard_shadows_against_a_loop_over_pixels(dtype):
         x, y = (float(c[i, j]) for c in floor_points())
         point = np.array([x, y, 0.0])
         if np.hypot(x - 0.3, y + 0.2) < 0.65:
-            continue  # the ball itself is seen
+            continue  # the ball itself
         way = lamp - point
         d = np.linalg.norm(way)
         e = np.zeros(2)
@@ -103,7 +105,7 @@ RULES = {
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("rule", RULES)
-def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
+def test_a_soft_shadow_is_the_unblocked_rectangle(rule):
     """A long plate at half the height hides x > c of the lamp from each point."""
     rule, tolerance = RULES[rule]
     plate = Surface(Quad([0.1, -50, 1], [60, 0, 0], [0, 100, 0]), Lambert(KD))
@@ -118,7 +120,9 @@ def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
     normal = jnp.asarray([0.0, 0, 1])
     cuts = []
     for place, value in zip(np.asarray(x), np.asarray(got), strict=True):
-        edge = np.clip(place + 2 * (0.1 - place), -1, 1)  # the plate's rim, cast onto the lamp
+        edge = np.clip(
+            place + 2 * (0.1 - place), -1, 1
+        )  # the plate's edge, projected onto the lamp
         cuts.append(edge)
         if edge == -1:
             assert (value == 0).all()
@@ -132,8 +136,8 @@ def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):
 
 
 def operations(jaxpr, call=None):
-    """How many operations a trace holds, or how many calls of one name, those inside its calls and
-    loops too."""
+    """Return the number of operations in a trace, or of calls of one name, including inner calls
+    and loops."""
     inner = (
         value
         for equation in jaxpr.eqns
@@ -148,8 +152,8 @@ def operations(jaxpr, call=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [Quadrature(2), MonteCarlo(jax.random.key(1), 3)])
-def test_shadows_are_asked_for_once_however_many_kinds_of_material(rule):
-    """The program of four kinds of material tests shapes for blocking as often as that of one."""
+def test_shadows_are_computed_once_for_all_types_of_material(rule):
+    """With four types of material the program has as many shadow tests as with one."""
     lights = [PointLight([1.5, 1, 3.0], [5.0, 4]), LAMP]
     kinds = [Lambert(KD), PhongBRDF(KD, KD, 9.0), NormalisedPhong(KD, KD, 9.0), OrenNayar(KD, 0.3)]
 
@@ -163,9 +167,9 @@ def test_shadows_are_asked_for_once_however_many_kinds_of_material(rule):
 
 
 @pytest.mark.slow
-def test_occluders_are_the_surfaces_that_block():
-    """A ball and a plate in the way of a lamp: named alone, each leaves its own shadow, which the
-    scene of the other alone does not have; both together are the usual picture."""
+def test_only_named_occluders_block():
+    """A ball and a plate block a lamp. Each alone as an occluder gives only its own shadow, and
+    both together the usual picture."""
     plate = Surface(Quad([-2.0, 1.0, 1], [1.5, 0, 0], [0, 1.5, 0]), Lambert(KD))
     surfaces, light = (
         [FLOOR, Surface(BALL, Lambert(KD)), plate],
@@ -189,8 +193,9 @@ def test_occluders_are_the_surfaces_that_block():
 
 
 @pytest.mark.slow
-def test_each_light_by_its_own_rule():
-    """Light adds up: two lamps of two rules are the pictures of each lamp alone, by its rule."""
+def test_each_light_uses_its_own_rule():
+    """The picture of lamps with different rules is the sum of pictures of each lamp with its
+    rule."""
     fine, drawn = Quadrature(6), MonteCarlo(jax.random.key(3), 7)
     other = RectangleLight([1.0, 1, 3], [0, 0.5, 0], [0.5, 0, 0], [3.0, 2])
     point = PointLight([1.5, 1, 3.0], [5.0, 4])
@@ -216,8 +221,8 @@ def test_each_light_by_its_own_rule():
 
 
 @pytest.mark.slow
-def test_a_thin_lens_wants_samples():
-    """One ray through its middle would be a picture of a pinhole, all in focus."""
+def test_a_thin_lens_needs_samples():
+    """One ray through its centre would give a pinhole picture, in focus everywhere."""
     scene = Scene([Surface(BALL, Lambert(KD))], [PointLight([1.5, 1, -3.0], [5.0, 4])])
     about = {"resolution": (3, 4), "focus_distance": 0.5}
     lens = ThinLens([0.3, 0, -1], np.eye(3), 0.05, 1e-2, f_number=2.0, **about)
@@ -235,7 +240,8 @@ def ray(origin, direction):
 
 
 def test_both_sides_of_a_surface():
-    """Seen and lit from behind: black, unless both sides are fronts; then as if turned over."""
+    """Seen and lit from behind, a surface is black unless it is two-sided, and then as if turned
+    over."""
     light = [PointLight([0, 0, -2.0], [5.0, 4])]
     up = ray([0.5, 0, -1.0], [0.0, 0, 1])
     front = Scene([Surface(Plane([0, 0, 0], [0, 0, -1]), Lambert(KD))], light)
@@ -253,22 +259,22 @@ def test_both_sides_of_a_surface():
     np.testing.assert_allclose(seen, np.multiply(KD, [5.0, 4]) / 0.25, rtol=1e-12)
 
 
-def test_a_surface_that_shines_is_seen_shining_from_its_front():
+def test_emission_is_seen_from_the_front():
     lamp = Surface(Sphere([0, 0, 3], 1), Lambert(KD), [7.0, 8])
     scene = Scene([lamp, FLOOR], [PointLight([0, 0, 1], [2.0, 3])])
     up, down = ray([0, 0, 1.0], [0.0, 0, 1]), ray([3, 0, 1.0], [0.0, 0, -1])
     expected = np.array([7.0, 8]) + np.multiply(KD, [2.0, 3])
     np.testing.assert_allclose(radiance_along(scene, up), expected)
-    unlit = np.multiply(KD, [2.0, 3]) / 10**1.5  # by the point alone
+    unlit = np.multiply(KD, [2.0, 3]) / 10**1.5  # light of the point only
     np.testing.assert_allclose(radiance_along(scene, down), unlit)
-    assert (radiance_along(scene, ray([0, 0, 3.0], [0.0, 0, 1])) == 0).all()  # its back
+    assert (radiance_along(scene, ray([0, 0, 3.0], [0.0, 0, 1])) == 0).all()  # from behind
     with pytest.raises(ValueError, match=r"surfaces\[0\]\.emission must have 2 bands, got 3"):
         Scene([Surface(BALL, Lambert(KD), [1.0, 1, 1])], [])
 
 
 @pytest.mark.slow
-def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
-    """3840 triangles with the ball's own normals."""
+def test_a_mesh_with_normals_looks_like_the_ball():
+    """The mesh has 3840 triangles with the ball's own normals."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     vertices = ball.vertices * float(BALL.radius) + np.asarray(BALL.centre)
     light = [PointLight([1.5, 1, 3.0], [5.0, 4])]
@@ -281,11 +287,11 @@ def test_a_mesh_with_normals_looks_like_the_ball_it_stands_for():
     smooth = np.abs(image(TriangleMesh(vertices, ball.faces, normals=ball.vertices)) - truth)
     flat = np.abs(image(TriangleMesh(vertices, ball.faces)) - truth)
     assert np.median(smooth[smooth > 1e-9]) < 0.1 * np.median(flat[flat > 1e-9])
-    assert (smooth.max(axis=-1) > 0.02).mean() < 0.03  # the terminator and the two silhouettes
+    assert (smooth.max(axis=-1) > 0.02).mean() < 0.03  # terminator and two silhouettes
 
 
 def test_a_mesh_alone_shades_itself():
-    """A floor and a leaf above it as one mesh under a lamp."""
+    """The mesh is a floor with a leaf above it, under a lamp."""
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     vertices = np.concatenate([square, 0.3 * square + [0, 0, 0.5]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
@@ -299,7 +305,7 @@ def test_a_mesh_alone_shades_itself():
 
 @pytest.mark.slow
 def test_gradients_through_shadows():
-    """Radiance is linear in k_d and in the light's intensity, so their gradients are quotients."""
+    """Radiance is linear in k_d and in the light's intensity, so the gradients are quotients."""
     light = PointLight([1.5, 1, 3.0], [5.0, 4])
     scene = Scene([FLOOR, Surface(BALL, Lambert(KD))], [light])
     down = ray([-1.0, 0.5, 5.0], [0.0, 0, -1])
@@ -324,8 +330,8 @@ def test_gradients_through_shadows():
 
 
 @pytest.mark.slow
-def test_many_rays_a_pixel_cover_an_edge_by_its_part():
-    """A plate that ends a quarter into the second pixel; one ray through the centre misses it."""
+def test_many_rays_per_pixel_give_the_covered_area():
+    """A plate ends a quarter into the second pixel, where one ray through the centre misses it."""
     view = Orthographic([0, 0, 9], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 1.0, resolution=(1, 2))
     plate = Surface(Quad([-1, -5, 0], [1.25, 0, 0], [0, 10, 0]), Lambert([0.3]))
     scene = Scene([plate], [DirectionalLight([0, 0, 1], [2.0])])
@@ -345,8 +351,8 @@ LENS = ThinLens(
 
 
 @pytest.mark.slow
-def test_pixels_do_not_depend_on_the_cut_nor_samples_on_the_call():
-    """Some pixels alone, in another order, equal those of the whole picture to the last bit."""
+def test_pixels_do_not_depend_on_tiles_nor_samples_on_calls():
+    """Some pixels alone, in another order, equal those of the whole picture bit by bit."""
     lamps = [PointLight([1.5, 1, 3.0], [5.0, 4]), LAMP]
     scene = Scene([FLOOR, Surface(BALL, Lambert(KD))], lamps)
     rule, key = MonteCarlo(jax.random.key(1), 3), jax.random.key(2)
@@ -367,8 +373,8 @@ def test_pixels_do_not_depend_on_the_cut_nor_samples_on_the_call():
     assert (some.radiance != after.radiance).any()
 
 
-def test_a_view_without_a_lens_draws_two_numbers_a_sample():
-    """From the jaxpr: four only for a lens."""
+def test_a_view_without_a_lens_draws_two_numbers_per_sample():
+    """In the jaxpr there are four numbers only for a lens."""
     stream = Stream(jnp.uint32(1), jnp.uint32(2), jnp.zeros(2, jnp.uint32))
 
     def program(view):
@@ -380,8 +386,8 @@ def test_a_view_without_a_lens_draws_two_numbers_a_sample():
     assert "f64[4]" in program(LENS)
 
 
-def test_each_sample_of_a_pixel_draws_its_own_lattice():
-    """Random rules have a key for every pixel and sample, and the same one when asked again."""
+def test_each_sample_of_a_pixel_has_its_own_key():
+    """Random rules have a key for every pixel and sample, which is reproducible."""
     lamp = RectangleLight([0.0, 0, 1], [0, 1.0, 0], [1.0, 0, 0], [1.0, 1.0])
     rule, seed = MonteCarlo(jax.random.key(4), 1), seed_of(jax.random.key(5))
 

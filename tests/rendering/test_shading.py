@@ -1,5 +1,5 @@
-"""The rendering equation: the sum over sources against loops, the integrals against each other and
-against quadrature from outside, for every light and every way to reflect."""
+"""Tests the rendering equation for every light and material: the sum over sources against loops,
+and the integrals against each other and against independent quadrature."""
 
 import jax
 import jax.numpy as jnp
@@ -57,7 +57,7 @@ def test_against_the_naive_loop(kind):
     np.testing.assert_allclose(got, expected, rtol=1e-12)
 
 
-def test_lights_superpose():
+def test_light_is_additive():
     material = MATERIALS["phong"][0]
     together = outgoing_radiance(material, LIGHTS, POINT, NORMAL, WO)
     apart = sum(outgoing_radiance(material, [light], POINT, NORMAL, WO) for light in LIGHTS)
@@ -112,8 +112,9 @@ KEY = jax.random.key(7)
 @pytest.mark.slow  # each compiles seven ways
 @pytest.mark.parametrize("light", SHINING)
 @pytest.mark.parametrize("kind", REFLECTING)
-def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
-    """Nodes on the light, nodes over the hemisphere, samples of the BRDF, samples of both."""
+def test_every_method_of_integration_agrees_for_every_pair(kind, light):
+    """The methods are nodes on the light, nodes over the hemisphere, samples of the BRDF, and
+    samples of both."""
     material, source = REFLECTING[kind], SHINING[light]
 
     @jax.jit
@@ -143,7 +144,7 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
         closed = material.diffuse * rectangle_irradiance(source, POINT, NORMAL)
         np.testing.assert_allclose(reference, closed, rtol=1e-9)
     assert (np.abs(hemisphere.value - reference) <= 2 * hemisphere.error + doubt).all()
-    # a sky without edges; lights with edges between 64 x 128 nodes of the hemisphere
+    # a sky without edges; lights have edges between 64 x 128 nodes of the hemisphere
     assert (hemisphere.error < (0.02 if light == "environment" else 0.15) * reference).all()
     assert (np.abs(balanced - reference) <= 4.5 * both.error + doubt).all()
     for estimate in (sampled, both):
@@ -153,9 +154,9 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
 
 
 @pytest.mark.slow
-def test_against_quadrature_from_outside():
-    """A Gaussian patch of sky on the textbook's Phong, by scipy's adaptive integration of the
-    formula written out."""
+def test_shading_equals_independent_quadrature():
+    """A Gaussian patch of sky lights the textbook's Phong model. SciPy integrates the formula
+    adaptively."""
     centre = np.array([0.3, 0.5, np.sqrt(1 - 0.34)])
     kd, ks, n = 0.2, 0.3, 12.0
 
@@ -180,8 +181,9 @@ def test_against_quadrature_from_outside():
 
 @pytest.fixture(scope="module")
 def highlight():
-    """A square light with the highlight of GGX facets, alpha .05, in its middle, and the radiance
-    by scipy: D G_2 / (4 cos_o), Walter et al. (2007) and Heitz (2014), over the light's area."""
+    """Return a square light with the highlight of GGX facets, alpha .05, in its centre, and the
+    radiance by SciPy: D G_2 / (4 cos_o), Walter et al. (2007) and Heitz (2014), over the light's
+    area."""
     alpha, viewer = 0.05, np.array([0.6, 0, 0.8])
 
     def hidden(cosine):
@@ -196,7 +198,7 @@ def highlight():
         shadowed = 1 / (1 + hidden(wi[2]) + hidden(viewer[2]))
         return facets * shadowed / (4 * viewer[2]) * wi[2] / square
 
-    # a quarter of the plane at a time puts the peak on a corner
+    # integrating each quarter of the plane puts the peak in a corner
     truth = sum(
         integrate.dblquad(integrand, *x, *y, epsabs=1e-7, epsrel=1e-7)[0]
         for x in ((-1.25, -0.75), (-0.75, -0.25))
@@ -207,8 +209,8 @@ def highlight():
 
 
 @pytest.mark.slow
-def test_a_glossy_highlight_wants_balanced_samples(highlight):
-    """Against adaptive integration from outside, and the figures that `Quadrature` states."""
+def test_a_glossy_highlight_needs_balanced_samples(highlight):
+    """The references are adaptive integration, and the errors that `Quadrature` states."""
     material, lamp, viewer, truth = highlight
     up, origin = jnp.asarray([0.0, 0, 1]), jnp.zeros(3)
 
@@ -230,7 +232,7 @@ def test_a_mirror_shows_the_light_it_reflects():
     lights, mirror = [SHINING["environment"], SHINING["rectangle"]], Mirror([0.5, 0.9])
     look = jax.jit(outgoing_radiance)
     got = look(mirror, lights, jnp.zeros(3), up, wo)
-    np.testing.assert_allclose(got, [1.5, 4.5], rtol=1e-12)  # the rectangle, before the sky
+    np.testing.assert_allclose(got, [1.5, 4.5], rtol=1e-12)  # the rectangle, in front of the sky
     sky = look(mirror, lights[:1], jnp.zeros(3), up, wo)
     reflected = radiance_from(lights[0], jnp.zeros(3), jnp.asarray([0.1, 0, np.sqrt(0.99)]))
     np.testing.assert_allclose(sky, reflected * jnp.asarray([0.5, 0.9]), rtol=1e-12)
@@ -246,7 +248,7 @@ def test_a_mirror_shows_the_light_it_reflects():
 
 
 @pytest.mark.slow
-def test_a_light_at_one_place_is_one_sample_under_any_rule():
+def test_a_point_light_is_one_sample_under_any_rule():
     for light in LIGHTS:
         for rule in (jv.Quadrature(5), jv.MonteCarlo(KEY, 7), Balanced(KEY, 7)):
             arriving = incident_samples(light, POINT, rule)
@@ -256,7 +258,7 @@ def test_a_light_at_one_place_is_one_sample_under_any_rule():
             lit_radiance(KEY, jv.Lambert(KD), light, POINT, NORMAL, WO, samples=2)
 
 
-def test_a_neutral_material_takes_the_lights_bands_and_others_are_named():
+def test_a_neutral_material_takes_the_lights_bands_and_mismatches_are_named():
     grey = jv.Lambert([0.2])
     assert outgoing_radiance(grey, LIGHTS, POINT, NORMAL, WO).shape == (3,)
     with pytest.raises(ValueError, match=r"share one number of bands, got 2 from Lambert and \[3"):
@@ -269,8 +271,9 @@ def test_a_neutral_material_takes_the_lights_bands_and_others_are_named():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", REFLECTING)
-def test_standard_errors_cover_the_truth_as_often_as_they_promise(kind):
-    """500 repetitions: 2 standard errors cover 95.4 % of them, within four binomial deviations."""
+def test_standard_errors_cover_the_true_value(kind):
+    """In 500 repetitions, 2 standard errors cover 95.4 %, within four binomial standard
+    deviations."""
     material, source = REFLECTING[kind], SHINING["rectangle"]
     rule = jv.Quadrature(40)
     truth = outgoing_radiance(material, [source], POINT, NORMAL, WO, rule=rule)[0]

@@ -1,4 +1,4 @@
-"""Aberrations from edges that were blurred by the light of points, integrated along the edge."""
+"""Tests aberrations estimated from edges, blurred by point images integrated along the edge."""
 
 import jax
 import numpy as np
@@ -15,9 +15,11 @@ TRUTH = {4: 20.0, 5: 30.0, 6: -25.0, 7: -35.0, 8: 20.0, 11: 40.0}  # nm
 
 
 def edge_spread(angle, coefficients, pitch=PITCH):
-    """Distances in pixels, and the edge spread. The light of a point at x, summed along the edge,
-    is the integral over all chords across the edge of |integral of exp(2 pi i W / lambda - i pi u x
-    / (lambda N)) du|^2 (Parseval). Beyond 20 lambda N, both sides have equal shares."""
+    """Return distances in pixels, and the edge spread.
+
+    The point image at x, summed along the edge, is the integral over all chords across the edge of
+    |integral of exp(2 pi i W / lambda - i pi u x / (lambda N)) du|^2 (Parseval). Beyond 20 lambda N
+    both sides have equal shares."""
     nodes, weights = np.polynomial.legendre.leggauss(110)
     t, outer = np.polynomial.legendre.leggauss(40)
     v, half = np.sin(np.pi / 2 * t), np.cos(np.pi / 2 * t)
@@ -29,18 +31,18 @@ def edge_spread(angle, coefficients, pitch=PITCH):
     z = np.asarray(jv.optics.zernike(x, y, count=11))
     error = sum(1e-9 * value * z[..., term - 1] for term, value in coefficients.items())
     pupil = half[:, None] * weights * np.exp(2j * np.pi * error / WAVE)
-    place = np.linspace(-20, 20, 801)  # lambda N
+    place = np.linspace(-20, 20, 801)  # in lambda N
     line = np.array(
         [outer @ np.abs((pupil * np.exp(-1j * np.pi * u * s)).sum(1)) ** 2 for s in place]
     )
-    line /= 2 * np.pi  # its integral over all s is 2 pi
+    line /= 2 * np.pi  # its integral over s is 2 pi
     step = place[1] - place[0]
     share = np.r_[0, np.cumsum((line[1:] + line[:-1]) / 2)] * step
     return place * WAVE * F_NUMBER / pitch, share + (1 - share[-1]) / 2
 
 
 def picture(angle, place, coefficients, shape=(40, 40), low=100.0, high=2000.0):
-    """The edge in square pixels: a mean over 16 x 16 places."""
+    """Return the edge in square pixels, with means over 16 x 16 positions."""
     distance = places(shape, angle, place)
     x, y = np.meshgrid(NODES, NODES)
     inside = np.cos(np.radians(angle)) * x + np.sin(np.radians(angle)) * y
@@ -51,7 +53,7 @@ def picture(angle, place, coefficients, shape=(40, 40), low=100.0, high=2000.0):
 
 
 def pictures(seed, focus=(-60e-9, 60e-9), angles=(5.0, 65.0, 125.0), side=32):
-    """Edges at each angle for each known defocus, m."""
+    """Return edges at each angle for each known defocus, in m."""
     rng, found, defocus = np.random.default_rng(seed), [], []
     for added in focus:
         own = TRUTH | {4: TRUTH[4] + 1e9 * added}
@@ -63,7 +65,8 @@ def pictures(seed, focus=(-60e-9, 60e-9), angles=(5.0, 65.0, 125.0), side=32):
 
 
 def test_the_edge_spread_is_the_integral_of_the_point_image():
-    """Predicted pixels against `picture`, whose edge spread does not use the transfer."""
+    """Predicted pixels equal those of `picture`, whose edge spread does not use the transfer
+    function."""
     own = [[50.0, 0.2, 100.0, 2000.0, 0.0, 0.0, 0.0]]
     y, x = np.indices((20, 20)) - 9.5
     with jax.enable_x64(True):
@@ -93,7 +96,7 @@ def test_the_edge_spread_is_the_integral_of_the_point_image():
         ({"wavelength": -WAVE}, "above 0"),
     ],
 )
-def test_what_no_lens_has_is_refused(options, words):
+def test_impossible_lenses_are_refused(options, words):
     lens: dict = {"wavelength": WAVE, "f_number": F_NUMBER, "pixel_pitch": PITCH} | options
     with pytest.raises(InputError, match=words):
         resolution.wavefront_from_edges([np.ones((32, 32))], **lens)
@@ -106,7 +109,7 @@ def test_what_no_lens_has_is_refused(options, words):
         ((4, 5, 6, 11), (5.0, 5.1), False, r"do not determine the terms \[4, 5, 6\] separately"),
     ],
 )
-def test_what_edges_do_not_determine_is_refused(terms, angles, one_focus, words):
+def test_undetermined_aberrations_are_refused(terms, angles, one_focus, words):
     with pytest.raises(InputError, match=words):
         aberrations._refuse_undetermined(terms, np.array(angles), one_focus)
 
@@ -115,12 +118,12 @@ def test_what_edges_do_not_determine_is_refused(terms, angles, one_focus, words)
     ("terms", "angles", "one_focus"),
     [((7, 8, 9, 10), (5.0, 65.0, 125.0), True), ((4, 5, 6, 11), (5.0, 65.0, 125.0), False)],
 )
-def test_what_edges_determine_is_taken(terms, angles, one_focus):
+def test_determined_aberrations_are_accepted(terms, angles, one_focus):
     aberrations._refuse_undetermined(terms, np.array(angles), one_focus)
 
 
 @pytest.mark.slow
-def test_intervals_of_aberrations_cover_the_truth():
+def test_intervals_of_aberrations_cover_the_true_values():
     z = []
     lens: dict = {"wavelength": WAVE, "f_number": F_NUMBER, "pixel_pitch": PITCH}
     for seed in range(10):

@@ -1,4 +1,4 @@
-"""Resolution from an edge against pictures that were averaged over 16 x 16 places of each pixel."""
+"""Tests resolution from an edge, against pictures averaged over 16 x 16 positions in each pixel."""
 
 import re
 
@@ -18,11 +18,11 @@ from jaxvision.errors import InputError
 
 NODES = (np.arange(16) + 0.5) / 16 - 0.5
 ANGLES = 2 * np.pi * (np.arange(40) + 0.5) / 40
-RADII = np.sqrt((np.arange(20) + 0.5) / 20) / 2  # of a disc of diameter 1
+RADII = np.sqrt((np.arange(20) + 0.5) / 20) / 2  # for a disc of diameter 1
 
 
 def spread(distance, angle, gaussian, disc=0.0):
-    """Share of light of a pixel at a distance from a sharp edge, by brute force."""
+    """Return the share of light of a pixel at a distance from a sharp edge, by brute force."""
     turn = np.radians(angle)
     x, y = np.meshgrid(NODES, NODES)
     shifts = (np.cos(turn) * x + np.sin(turn) * y).ravel()
@@ -49,7 +49,7 @@ def noisy(mean, rng, gain=0.25, read=5.0):
 @pytest.mark.sweep
 @pytest.mark.parametrize("angle", [5.0, 38.0, 180.0])
 @pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.4), ("disc", 2.5)])
-def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
+def test_edge_spread_equals_light_averaged_over_pixels(angle, shape, blur):
     distance = np.linspace(-4, 4, 41)
     gaussian, disc = (blur, 0.0) if shape == "gaussian" else (1e-3, blur)
     with jax.enable_x64(True):
@@ -60,7 +60,7 @@ def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.7), ("disc", 2.0)])
-def test_transfer_is_that_of_the_line_spread(shape, blur):
+def test_transfer_is_the_transform_of_the_line_spread(shape, blur):
     at, frequency = {"angle": 10.0, "blur": blur}, np.array([0.1, 0.3, 0.6])
     with jax.enable_x64(True):
         place = jnp.linspace(-8, 8, 3201)
@@ -71,9 +71,9 @@ def test_transfer_is_that_of_the_line_spread(shape, blur):
 
 
 @pytest.mark.slow
-def test_diffraction_spreads_as_an_airy_pattern():
-    """Shares of light from `optics.airy_kernel` in fifths of a pixel, gathered over pixels."""
-    with jax.enable_x64(True):  # wavelength times f-number is 1.5 pixels
+def test_diffraction_blurs_by_an_airy_pattern():
+    """The reference sums `optics.airy_kernel` in fifths of a pixel over pixels."""
+    with jax.enable_x64(True):  # wavelength times f-number: 1.5 pixels
         kernel = np.asarray(jv.optics.airy_kernel(1.5e-6, 1.0, 0.2e-6, size=401, order=4))
         place = (np.arange(401) - 200 + 0.5) / 5
         wanted = np.convolve(kernel.sum(0), np.full(5, 0.2), "same").cumsum()
@@ -83,7 +83,7 @@ def test_diffraction_spreads_as_an_airy_pattern():
 
 
 @pytest.mark.slow
-def test_the_free_transfer_is_unbiased_where_noise_hides_it():
+def test_the_free_transfer_is_unbiased_below_the_noise():
     rng, reach = np.random.default_rng(3), 10.0
     distance = rng.uniform(-reach, reach, 900)
     sd, truth = np.full(900, 2.0), 0.4
@@ -117,14 +117,15 @@ EDGE = noisy(expected((40, 40), 5, 0, 0.5), np.random.default_rng(1))
         (EDGE, {"shape": "square"}, "shape is"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(image, options, words):
+def test_unmeasurable_edges_are_refused(image, options, words):
     with pytest.raises(jv.errors.InputError, match=words):
         resolution.from_edge(image, **options)
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth():
-    """Forty edges at angles of every kind: the widths' z, and the chi-square of the transfer."""
+def test_intervals_cover_the_true_values():
+    """Over forty edges at random angles, the widths' z and the chi-square of the transfer function
+    are right."""
     rng, z, free = np.random.default_rng(4), [], []
     for _ in range(40):
         angle, gaussian = rng.uniform(0, 360), rng.uniform(0.4, 1.2)
@@ -158,8 +159,8 @@ def test_a_plane_of_a_mosaic_needs_no_demosaicing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
-def test_an_edge_that_overshoots_was_sharpened(share):
-    """Also where the MTF stays below 1, as with an unsharp mask of .6."""
+def test_an_edge_that_overshoots_is_called_sharpened(share):
+    """Overshoot is also found if the MTF stays below 1, as for an unsharp mask of .6."""
     raw = noisy(expected((64, 64), 5.0, 0.0, 0.7), np.random.default_rng(8))
     sharp = raw + share * (raw - ndimage.gaussian_filter(raw, 1.0))
     told = " ".join(resolution.from_edge(sharp).findings)
@@ -167,7 +168,7 @@ def test_an_edge_that_overshoots_was_sharpened(share):
 
 
 @pytest.mark.slow
-def test_sharpening_smoothing_and_the_psf_are_told():
+def test_sharpening_smoothing_and_the_psf_are_reported():
     rng = np.random.default_rng(6)
     mean = expected((64, 64), 5.0, 0.0, 0.7)
     found = resolution.from_edge(noisy(mean, rng))
@@ -184,7 +185,7 @@ def test_sharpening_smoothing_and_the_psf_are_told():
 
 @pytest.mark.slow
 def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
-    """A Gaussian of full width 2.101 pixels at 16.78 degrees."""
+    """The edge is a Gaussian of full width 2.101 pixels at 16.78 degrees."""
     mean = expected((100, 100), 16.78, 0.2, 2.101 / 2.35482, low=51.0, high=204.0)
     found = resolution.from_edge(np.round(mean))
     angle, width = found.fit.values["angle"], found.fit.values["blur"]
@@ -196,8 +197,8 @@ def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
 
 
 @pytest.mark.slow
-def test_what_is_no_edge_in_linear_numbers_is_said():
-    """A mosaic without its sensor had been taken for a compressed picture."""
+def test_pictures_without_a_linear_edge_are_named():
+    """Earlier, a mosaic without its sensor was taken for a compressed picture."""
     mean = expected((48, 48), 5.0, 0.3, 0.8)
     rng = np.random.default_rng(2)
     tiles = np.tile([[0.55, 1.0], [1.0, 0.4]], (24, 24))
@@ -211,7 +212,7 @@ def test_what_is_no_edge_in_linear_numbers_is_said():
 
 
 def encoded_edge(gamma, seed, *, low=100.0, size=64, noise=(4.0, 0.02)):
-    """12-bit numbers with a gamma, of a linear camera's edge of blur .7."""
+    """Return 12-bit numbers with a gamma, of a linear camera's edge with blur .7."""
     mean = expected((size, size), 5.0, 0.3, 0.7, low=low)
     linear = mean + np.random.default_rng(seed).normal(size=mean.shape) * np.sqrt(
         noise[0] + noise[1] * mean
@@ -220,8 +221,8 @@ def encoded_edge(gamma, seed, *, low=100.0, size=64, noise=(4.0, 0.02)):
 
 
 @pytest.mark.slow
-def test_a_gamma_is_told_by_the_shape_of_the_edge():
-    """Power and blur within their own errors."""
+def test_a_gamma_is_estimated_from_the_shape_of_the_edge():
+    """Power and blur are within their stated errors."""
     told = str(resolution.from_edge(encoded_edge(1.4, 0)))
     power, error, width, wide = map(
         float, re.search(r"power of (\S+) ± (\S+), .* blur is (\S+) ± (\S+) pix", told).groups()
@@ -240,7 +241,8 @@ def test_linear_numbers_have_no_gamma():
 
 @pytest.mark.slow
 def test_gammas_of_edges_are_within_their_errors():
-    """Power and blur of encoded edges; linear ones, also of another blur or uneven, have none."""
+    """Power and blur of encoded edges are right. Linear edges, also with another blur or uneven,
+    have no gamma."""
     powers = []
     for seed in range(12):
         for gamma in (1.0, 1.2, 2.2):

@@ -1,4 +1,5 @@
-"""From a rig folder to a section: planes, masks, merged map, findings, refusals."""
+"""Tests response calibration from a rig folder to a section: planes, masks, merged map, findings,
+refusals."""
 
 import pickle
 from dataclasses import replace
@@ -42,7 +43,7 @@ def write_rig(folder: Path, images, times=TIMES, *, camera: str = "bits = 8") ->
 def colour_images(response=srgb, seed=0, bands=3):
     rng = np.random.default_rng(seed)
     stacks = [exposure_stack(response, TIMES, rng, pixels=SIZE[0] * SIZE[1]) for _ in range(bands)]
-    # Brighter along the rows: of a scene of noise, few pixels lie clear of clipped ones.
+    # Sorted along the rows, because in a scene of noise few pixels would be far from clipped ones.
     planes = [codes[:, np.argsort(irradiance)] for irradiance, codes in stacks]
     return np.stack(planes, axis=-1).reshape(len(TIMES), *SIZE, bands).astype(np.uint8)
 
@@ -98,8 +99,9 @@ def test_images_that_contradict_their_times_are_refused(tmp_path, times, change,
 
 
 @pytest.mark.slow
-def test_the_curve_leaves_whole(calibration):
-    """Every code of every channel; where pixels were seen it is the sRGB curve, within 5 %."""
+def test_the_whole_curve_is_in_the_section(calibration):
+    """Every code of every channel is in the table. Where pixels were seen, it is the sRGB curve
+    within 5 %."""
     curve = response_section(calibration).data["curve"]
     for channel in ("red", "green", "blue"):
         rows = (curve["channel"] == channel) & curve["seen"]
@@ -125,8 +127,8 @@ def test_a_notebook_shows_the_section(calibration):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pure", [True, False])
-def test_the_legend_gives_gamma_its_error_where_it_has_one(calibration, pure):
-    """The stack is sRGB's; what is no departure from gamma is made up."""
+def test_the_legend_gives_the_error_of_a_pure_gamma(calibration, pure):
+    """The stack is sRGB. A curve without departure from gamma is simulated."""
     shown = calibration
     if pure:
         none = [
@@ -149,8 +151,8 @@ def test_pictures_are_drawn(calibration, tmp_path):
 
 
 @pytest.mark.slow
-def test_one_exposure_is_drawn_as_the_map_is_where_it_does_not_clip(calibration):
-    """By one white and one curve: the two pictures then differ by noise alone."""
+def test_a_single_exposure_equals_the_map_where_it_is_not_clipped(calibration):
+    """White and curve are the same, so the two pictures differ only by noise."""
     merged, single = (
         np.asarray(axes.images[0].get_array())
         for axes in radiance_figure(calibration, radiance_images(calibration)).axes[:2]
@@ -162,13 +164,13 @@ def test_one_exposure_is_drawn_as_the_map_is_where_it_does_not_clip(calibration)
     assert np.median((merged - single)[single == brightest]) >= 0
 
 
-def test_merged_map_is_the_scene():
+def test_the_merged_map_equals_the_scene():
     rng = np.random.default_rng(1)
     irradiance, codes = exposure_stack(gamma(2.2), TIMES, rng)
     merged = merge(codes, TIMES, fit_response_curve(codes, TIMES, bits=8))
     error = np.log(merged.radiance / irradiance)
     error -= np.median(error)
-    # Shot noise of all the electrons that the unclipped exposures collect.
+    # Shot noise of all electrons collected in the unclipped exposures.
     unclipped = (irradiance * TIMES[:, None] < 0.95) * TIMES[:, None]
     ideal = 1 / np.sqrt(8000 * irradiance * unclipped.sum(axis=0))
     bright = irradiance > 0.02
@@ -183,14 +185,14 @@ def test_pixels_clipped_everywhere_are_bounds():
     codes[:, 0], codes[:, 1] = 255, 0
     merged = merge(codes, TIMES, fit_response_curve(codes, TIMES, bits=8))
     assert merged.coverage[0] == merged.coverage[1] == 0
-    # Tonal comparison with the brightest and darkest of the others.
+    # The pixels are compared with the brightest and darkest others.
     assert merged.radiance[0] > np.quantile(merged.radiance, 0.999)
     assert merged.radiance[1] < np.quantile(merged.radiance, 0.01)
     assert irradiance.min() > 0
 
 
 @pytest.mark.slow
-def test_mosaic_is_taken_apart(tmp_path):
+def test_a_mosaic_is_split_by_colour(tmp_path):
     rng = np.random.default_rng(3)
     _, codes = exposure_stack(gamma(1.0), TIMES, rng, pixels=96 * 128)
     images = codes.reshape(len(TIMES), 96, 128).astype(np.uint8)
@@ -201,7 +203,7 @@ def test_mosaic_is_taken_apart(tmp_path):
     assert radiance_images(calibration)[""].shape == (48, 64, 3)
 
 
-def test_black_level_is_read_off_unresponsive_pixels(tmp_path):
+def test_black_level_is_estimated_from_unresponsive_pixels(tmp_path):
     rng = np.random.default_rng(4)
     _, codes = exposure_stack(gamma(2.2), TIMES, rng, pixels=SIZE[0] * SIZE[1], pedestal=20)
     codes[:, :200] = 20
@@ -211,7 +213,7 @@ def test_black_level_is_read_off_unresponsive_pixels(tmp_path):
     assert stack.planes[0].clip == 255
 
 
-def test_mask_keeps_what_it_says(tmp_path):
+def test_a_mask_selects_its_pixels(tmp_path):
     folder = write_rig(tmp_path, colour_images())
     mask = np.zeros(SIZE, bool)
     with pytest.raises(InputError, match="leaves no pixel"):
@@ -236,7 +238,7 @@ def test_unusable_stacks_are_refused(tmp_path, images, times, message):
         read_exposure_stack(load_rig(write_rig(tmp_path, images, times)))
 
 
-def test_fractions_are_refused(tmp_path):
+def test_fractional_numbers_are_refused(tmp_path):
     folder = write_rig(tmp_path, colour_images())
     np.save(tmp_path / "half.npy", np.full((*SIZE, 3), 10.5))
     rig = (folder / "rig.toml").read_text().replace('"0.png"', '"half.npy"')
@@ -246,7 +248,7 @@ def test_fractions_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("level", [0, 255])
-def test_dark_or_saturated_stacks_are_refused_with_their_reason(tmp_path, level):
+def test_dark_or_saturated_stacks_are_refused_with_the_reason(tmp_path, level):
     folder = write_rig(tmp_path, np.full((9, *SIZE), level, np.uint8))
     with pytest.raises(InputError, match="well exposed"):
         calibrate_response(read_exposure_stack(load_rig(folder)))
@@ -266,7 +268,7 @@ def test_a_code_far_beyond_all_pixels_has_no_upper_bound():
 
 
 @pytest.mark.slow
-def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
+def test_a_channel_that_fails_is_named_and_the_others_written(tmp_path):
     images = colour_images()
     images[..., 2] = 3
     calibration = calibrate_response(read_exposure_stack(load_rig(write_rig(tmp_path, images))))
@@ -282,7 +284,7 @@ def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
 
 @pytest.mark.slow
 def test_a_small_picture_keeps_its_pixels_near_clipped_ones():
-    """Raw pixels that a few clipped ones all are next to: nothing else would remain."""
+    """All raw pixels are next to a few clipped ones, so otherwise none would remain."""
     rng, times = np.random.default_rng(3), 2.0 ** np.arange(-4, 3)
     y, x = np.mgrid[:18, :18] / 18
     light = np.exp(3 * (x - 0.5) + 2 * np.sin(6 * y))

@@ -1,4 +1,4 @@
-"""The response curve against stacks simulated from known curves."""
+"""Tests the response curve against stacks simulated from known curves."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ CURVES = {"gamma 2.2": gamma(2.2), "srgb": srgb, "s-shaped": s_shaped, "linear":
 
 
 def log_rms(found: np.ndarray, truth: np.ndarray) -> float:
-    """Root mean square of ln exposure errors, a common factor aside."""
+    """Return the RMS of ln exposure errors, up to a common factor."""
     error = found - truth
     return float(np.std(error - np.median(error)))
 
@@ -60,7 +60,7 @@ def test_curve_is_recovered_between_codes_20_and_235(name):
     assert curve.shutter_error is None
 
 
-def test_low_codes_of_a_quiet_camera():
+def test_low_codes_of_a_low_noise_camera():
     _, codes = exposure_stack(
         srgb, TIMES, np.random.default_rng(2), full_well=60_000.0, read_noise=2.0
     )
@@ -71,7 +71,7 @@ def test_low_codes_of_a_quiet_camera():
 
 
 @pytest.mark.slow
-def test_band_holds_the_truth_and_widens_with_shutter_errors():
+def test_interval_covers_the_true_curve_and_widens_with_shutter_errors():
     inside, widths = [], []
     for shutter_error in (0.0, 0.02):
         for seed in range(4):
@@ -87,14 +87,15 @@ def test_band_holds_the_truth_and_widens_with_shutter_errors():
             truth = log_exposures(s_shaped, curve.codes)
             gap = (curve.log_exposure - truth + truth[127])[judged]
             inside.append(np.mean(np.abs(gap) < 3 * curve.standard_error[judged] + 1e-3))
-            widths.append(curve.standard_error[230])  # far from mid-scale, and quiet
+            widths.append(curve.standard_error[230])  # far from mid-scale, low noise
     assert np.mean(inside) > 0.99
     assert np.mean(widths[4:]) > 2 * np.mean(widths[:4])
 
 
 @pytest.mark.slow
-def test_jpeg_photographs_from_hand():
-    """Half a pixel of misregistration, 1 % shutters, moving leaves, JPEG."""
+def test_hand_held_jpeg_photographs():
+    """The stack has half a pixel of misregistration, 1 % shutter errors, moving leaves, and
+    JPEG."""
     codes = jpeg_stack(s_shaped, TIMES[::2], np.random.default_rng(1))
     everywhere, known = np.ones(codes.shape[1:], bool), {"black": 0.0, "clip": 255.0}
     curve = fitted(codes, everywhere, TIMES[::2], **known)
@@ -113,7 +114,7 @@ def test_jpeg_photographs_from_hand():
 
 @pytest.mark.slow
 def test_parts_of_jpeg_stacks_agree_within_their_errors():
-    """Curves from halves, checkerboards and every other exposure."""
+    """The curves are from halves, checkerboards and every other exposure."""
     found = [
         split_tests(
             jpeg_stack(response, TIMES, np.random.default_rng(seed), shape=(200, 260)),
@@ -131,7 +132,8 @@ def test_parts_of_jpeg_stacks_agree_within_their_errors():
 
 @pytest.mark.slow
 def test_known_shutter_errors_widen():
-    """`exposure_sd` of the rig, which nine images cannot tell by themselves: its exponent."""
+    """Nine images cannot determine the `exposure_sd` of the rig, nor the exponent that it
+    affects."""
     _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(11), pixels=4000)
     plain = fit_response_curve(codes, TIMES, bits=8)
     doubted = fit_response_curve(codes, TIMES, bits=8, least_error=0.05)
@@ -141,13 +143,13 @@ def test_known_shutter_errors_widen():
     assert doubted.standard_error[40] > 2 * plain.standard_error[40]
 
 
-def test_shutter_errors_are_seen():
+def test_shutter_errors_are_detected():
     rng = np.random.default_rng(3)
     _, codes = exposure_stack(gamma(2.2), TIMES, rng, shutter_error=0.03)
     curve = fit_response_curve(codes, TIMES, bits=8)
     assert curve.shutter_error is not None
     assert 0.01 < curve.shutter_error < 0.09
-    # They show only beyond a common factor and exponent.
+    # They are detectable only beyond a common factor and exponent.
     assert np.abs(shutter_basis(np.log(TIMES)).T @ np.log(TIMES)).max() < 1e-12
 
 
@@ -160,8 +162,8 @@ def test_twelve_bit_codes_with_a_pedestal():
     assert log_rms(curve.log_exposure[bright], np.log(curve.codes[bright] - 64)) < 0.004
 
 
-def test_pair_statistics_are_the_eliminated_energy():
-    """theta^T A theta against the residuals of the explicit least-squares problem."""
+def test_pair_statistics_are_the_profiled_energy():
+    """theta^T A theta equals the residuals of the explicit least-squares problem."""
     rng = np.random.default_rng(5)
     _, codes = exposure_stack(gamma(2.2), TIMES, rng, pixels=300)
     bins, log_t = code_bins(8, 0.0, 255.0), np.log(TIMES)
@@ -192,8 +194,8 @@ def test_statistics_do_not_depend_on_chunks(monkeypatch):
     assert parts.pixels == whole.pixels
 
 
-def test_sets_of_pixels_add_up_to_all_of_them():
-    """What a few pixels cannot tell alone, which codes lie next to one another, all of them do."""
+def test_sets_of_pixels_add_up_to_all_pixels():
+    """A few pixels alone cannot determine the order of codes, but all of them together can."""
     _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(7), pixels=3000)
     bins, means = code_bins(8, 0.0, 255.0), np.linspace(-5, 2, 254)
     rule = noise_rule([NoiseModel(1e-2, 1e-3, 1e-4)], means)
@@ -209,8 +211,9 @@ def test_sets_of_pixels_add_up_to_all_of_them():
 
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("rate", [-3.0, 0.0, 5.0])
-def test_noise_pulls_by_the_density_at_the_ends_of_bins(bits, rate):
-    """Of a power law whose codes lie exponentially, in bins that at 12 bits are 1 to 16 wide."""
+def test_noise_shifts_codes_by_the_density_at_the_ends_of_bins(bits, rate):
+    """The response is a power law, whose codes are exponentially distributed, in bins that are 1 to
+    16 codes wide at 12 bits."""
     full = 2.0**bits - 1
     bins = code_bins(bits, 0.0, full)
     falling = np.exp(rate * bins.edges / full)
@@ -218,12 +221,12 @@ def test_noise_pulls_by_the_density_at_the_ends_of_bins(bits, rate):
     below, above = _pull_of_noise(counts, bins, 1.8 * bins.log_codes)
     found = below * counts[:-1] + above * counts[1:]
     inner = slice(1, -1)
-    far = bins.edges[inner] > 4  # below, the mean of ln code over a code is no mean of its ends
+    far = bins.edges[inner] > 4  # below, the mean over a code is not the mean of its ends
     exact = falling[inner] * bins.edges[inner] / 1.8
     np.testing.assert_allclose(found[far], exact[far], rtol=1e-3)
 
 
-def test_clipped_and_black_codes_weigh_nothing():
+def test_clipped_and_black_codes_have_no_weight():
     bins = code_bins(8, 10.0, 250.0)
     assert (bins.lookup[:11] == -1).all()
     assert (bins.lookup[250:] == -1).all()
@@ -236,7 +239,7 @@ def test_clipped_and_black_codes_weigh_nothing():
 
 @pytest.mark.parametrize("bits", [8, 10, 12])
 def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
-    """Of a power law, whose mean over log-uniform light is that of its ends."""
+    """For a power law, the mean over log-uniform light is the mean of the ends."""
     bins = code_bins(bits, 0.0, 2.0**bits - 1)
     means = 1.8 * (np.log(bins.edges[1:]) + np.log(bins.edges[:-1])) / 2
     exact = 1.8 * np.log(bins.centres / bins.centres[bins.middle])
@@ -250,8 +253,8 @@ def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("well", [40e3, 100e3, 400e3])
-def test_bands_hold_where_rounding_is_coarser_than_noise(well):
-    """A linear 8-bit camera whose codes noise does not dither, at one stop."""
+def test_intervals_cover_if_rounding_is_coarser_than_noise(well):
+    """The noise of a linear 8-bit camera does not dither its codes, one stop apart."""
     times = 2.0 ** np.arange(-4, 4)
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -262,7 +265,7 @@ def test_bands_hold_where_rounding_is_coarser_than_noise(well):
         assert np.mean(held[curve.seen]) > 0.9
 
 
-def test_pure_gamma_costs_nothing_in_the_prior():
+def test_a_pure_gamma_has_no_cost_in_the_prior():
     bins = code_bins(8, 0.0, 255.0)
     pure = 2.2 * bins.log_codes
     increments = exponent_increments(bins)
@@ -273,8 +276,8 @@ def test_pure_gamma_costs_nothing_in_the_prior():
 
 
 @pytest.mark.parametrize("most_bins", [140, 512])
-def test_a_linear_camera_is_as_smooth_as_can_be(most_bins):
-    """The energy of a pure gamma is 0 to rounding, of either sign as a quadratic form."""
+def test_a_linear_camera_has_the_largest_smoothness(most_bins):
+    """The quadratic form for a pure gamma is 0 up to rounding of either sign."""
     rng = np.random.default_rng(4)
     light = np.geomspace(400, 32_000, 4800)
     times = np.array([1 / 16, 1 / 4, 1.0])
@@ -298,7 +301,7 @@ def test_copies_of_one_image_are_refused():
         fit_response_curve(codes, TIMES, bits=8)
 
 
-def test_exposures_that_share_no_pixels_are_refused():
+def test_exposures_without_common_pixels_are_refused():
     rng = np.random.default_rng(8)
     codes = np.zeros((4, 4000), np.uint16)
     codes[:2, :2000] = rng.integers(60, 200, (2, 2000))
@@ -309,7 +312,7 @@ def test_exposures_that_share_no_pixels_are_refused():
 
 @pytest.mark.slow
 def test_measured_curves_are_recovered(data_folder):
-    """Every fortieth of the 201 DoRF curves (Grossberg & Nayar 2003)."""
+    """The test takes every fortieth of the 201 DoRF curves (Grossberg & Nayar 2003)."""
     import scipy.io
 
     measured = scipy.io.loadmat(data_folder / "camera_response" / "201_CRF_data.mat")
@@ -332,7 +335,7 @@ def test_measured_curves_are_recovered(data_folder):
 
 
 def test_neighbours_of_clipped_codes_count_as_clipped():
-    """Against a loop over the pixels."""
+    """The reference is a loop over the pixels."""
     codes = np.random.default_rng(0).integers(0, 254, (2, 30, 40)).astype(np.uint16)
     codes[0, 3, 5] = codes[0, 29, 39] = codes[1, 15, 0] = 254
     found = clear_of_clipping(codes, 253.5)
@@ -343,7 +346,7 @@ def test_neighbours_of_clipped_codes_count_as_clipped():
 
 
 def in_band(codes: np.ndarray, response, *, lowest: float = 0) -> float:
-    """Share of the codes seen, from the lowest, whose band holds the truth."""
+    """Return the share of seen codes, from the lowest, whose interval covers the true value."""
     everywhere = np.ones(codes.shape[1:], bool)
     layout = layout_of(codes, everywhere, black=0.0, clip=255.0)
     flat = codes.reshape(len(codes), -1)
@@ -355,8 +358,8 @@ def in_band(codes: np.ndarray, response, *, lowest: float = 0) -> float:
 
 
 @pytest.mark.slow
-def test_peaks_that_clip_and_hide_are_left_out():
-    """A blur after clipping darkens bright codes, which no code at full scale shows."""
+def test_hidden_clipped_peaks_are_left_out():
+    """A blur after clipping darkens bright codes, without codes at full scale."""
     codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1002), blurred=0.6)
     visible = clear_of_clipping(codes, 254.5, hidden=False)
     strict = clear_of_clipping(codes, 254.5)
@@ -365,7 +368,7 @@ def test_peaks_that_clip_and_hide_are_left_out():
     assert in_band(strict, gamma(2.2)) > 0.9
 
 
-def test_no_peaks_hide_in_sharp_pictures():
+def test_sharp_pictures_have_no_hidden_peaks():
     for seed in range(6):
         codes = processed_stack(s_shaped, STOPS, np.random.default_rng(seed))
         visible = clear_of_clipping(codes, 254.5, hidden=False)
@@ -373,8 +376,9 @@ def test_no_peaks_hide_in_sharp_pictures():
 
 
 @pytest.mark.slow
-def test_a_camera_that_sharpens_is_measured_in_flat_places():
-    """Sharpening half of the difference to a Gaussian of one pixel, of an S-shaped response."""
+def test_a_camera_that_sharpens_is_measured_in_uniform_areas():
+    """The camera adds half of the difference to a Gaussian of one pixel, with an S-shaped
+    response."""
     codes = processed_stack(s_shaped, STOPS, np.random.default_rng(3000), sharpened=0.5)
     everywhere = np.ones(codes.shape[1:], bool)
     curve = fitted(codes, everywhere, STOPS, black=0.0, clip=254.5)
@@ -388,8 +392,8 @@ def test_a_camera_that_sharpens_is_measured_in_flat_places():
 
 
 @pytest.mark.slow
-def test_places_of_a_plain_camera_tell_one_curve():
-    """Of noise alone, one stack in forty passes the F test; out of register, nothing is judged."""
+def test_all_areas_of_a_plain_camera_give_one_curve():
+    """By noise alone, one stack in forty fails the F test. Misaligned stacks are not judged."""
     plain = [
         processed_stack(s_shaped, STOPS, np.random.default_rng(seed), shape=(80, 120))
         for seed in range(3)
@@ -401,8 +405,8 @@ def test_places_of_a_plain_camera_tell_one_curve():
         np.testing.assert_array_equal(curve.busy_places, 0)
 
 
-def test_smoothness_settles_from_either_side():
-    """What a fit suggests is what it used; a pure gamma is as smooth as counts."""
+def test_smoothness_converges_from_either_side():
+    """The suggested smoothness equals the used one, and a pure gamma has the largest."""
     _, codes = exposure_stack(CURVES["s-shaped"], TIMES, np.random.default_rng(3), pixels=1500)
     bins = code_bins(8, 0.0, 255.0, count=60)
     means = 2.2 * np.log(bins.centres)
@@ -419,8 +423,8 @@ def test_smoothness_settles_from_either_side():
         assert end.suggested.smoothness == pytest.approx(end.used.smoothness, rel=0.1)
 
 
-def test_pixels_that_err_together_count_as_one(monkeypatch):
-    """However few of them count at most."""
+def test_pixels_with_shared_errors_count_as_one(monkeypatch):
+    """This holds for any limit of the number of pixels."""
     monkeypatch.setattr("fitting.response.solve.COUNTED", 100)
     _, codes = exposure_stack(CURVES["gamma 2.2"], TIMES, np.random.default_rng(4), pixels=2000)
     bins = code_bins(8, 0.0, 255.0, count=60)
@@ -440,7 +444,7 @@ def test_pixels_that_err_together_count_as_one(monkeypatch):
 
 
 def test_rounding_follows_the_light_until_noise_dithers_it():
-    """Against rounded draws."""
+    """The reference uses random rounded draws."""
     rng = np.random.default_rng(0)
     light = rng.uniform(0, 10, 200_000)
     for deviation in (0.05, 0.2, 0.4, 1.0):
@@ -450,8 +454,8 @@ def test_rounding_follows_the_light_until_noise_dithers_it():
         assert undithered_share(np.array([deviation**2]))[0] == pytest.approx(follows, abs=0.04)
 
 
-def test_codes_three_stops_apart_keep_a_pure_gamma():
-    """Nothing but their noise ties such codes to those between them."""
+def test_codes_three_stops_apart_give_a_pure_gamma():
+    """Only their noise connects such codes with those between them."""
     times = 8.0 ** np.arange(-2, 2)
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -463,8 +467,8 @@ def test_codes_three_stops_apart_keep_a_pure_gamma():
 
 
 @pytest.mark.slow
-def test_what_visible_peaks_leave_is_fitted_where_hidden_ones_leave_too_little(monkeypatch):
-    """And the report says that bright codes may be too low."""
+def test_visible_peaks_are_fitted_if_hidden_ones_leave_too_few_pixels(monkeypatch):
+    """The report also says that bright codes may be too low."""
     codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1002), blurred=0.6)
     calls = []
 
@@ -485,24 +489,26 @@ def test_what_visible_peaks_leave_is_fitted_where_hidden_ones_leave_too_little(m
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", ["s", "linear"])
-def test_bands_hold_the_curve_of_a_large_picture(shape):
-    """Of 700,000 pixels as of 20,000: what corrections leave over took over with ever more pixels,
-    until .3 and .2 of the codes lay in the band and a linear camera's curve had ripples of 1 %."""
+def test_intervals_cover_the_curve_of_a_large_picture(shape):
+    """700,000 pixels are as good as 20,000. Earlier, residual systematic errors dominated with more
+    pixels, until .3 and .2 of the codes were in the interval, and a linear camera's curve had
+    ripples of 1 %."""
     response = s_shaped if shape == "s" else gamma(1.0)
     codes = processed_stack(response, STOPS, np.random.default_rng(0), shape=(720, 960))
     assert in_band(clear_of_clipping(codes, 254.5), response) > 0.9
 
 
-def test_a_curve_that_falls_is_refused():
-    """A linear camera at 2.6 stops and much noise: the fit ends far off, and knows it."""
+def test_a_decreasing_curve_is_refused():
+    """A linear camera at 2.6 stops with much noise has a wrong curve, which is detected."""
     times = 6.0 ** np.arange(-2, 2)
     _, codes = exposure_stack(gamma(1.0), times, np.random.default_rng(8), full_well=2000.0)
     with pytest.raises(InputError, match=r"the exposure falls by .* exposures a stop from these"):
         fit_response_curve(codes, times, bits=8)
 
 
-def test_bands_allow_for_a_ripple_of_exposures_three_stops_apart():
-    """Of a response that bends, no pixel shows it; one more exposure, a stop from another, does."""
+def test_intervals_allow_for_ripples_with_exposures_three_stops_apart():
+    """If the response is not a gamma, no pixel determines the ripple. An additional exposure, one
+    stop from another, does."""
     three, four = 8.0 ** np.arange(-1, 2), np.array([0.125, 0.5, 1.0, 8.0])
     _, codes = exposure_stack(s_shaped, three, np.random.default_rng(0), full_well=20_000.0)
     curve = fit_response_curve(codes, three, bits=8)

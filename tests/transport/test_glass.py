@@ -43,7 +43,7 @@ def test_snell(n, theta, side):
     assert t[0] * w[0] < 0
 
 
-def test_there_and_back():
+def test_distortion_is_inverted():
     """Through and back through: the direction it came from."""
     w, n = at(0.9), jnp.asarray(1.7)
     through = refracted_direction(w, n)
