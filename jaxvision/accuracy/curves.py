@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core._warnings import warn
 from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
 from .deadlines import OutOfTime
@@ -221,6 +222,11 @@ def _curve_of(
             "of the same shape."
         )
     level = level_of(some, problem.level)
+    if problem.level is None and not some.any():
+        warn(
+            f"{problem.name}: the reference is 0 everywhere, so that no error is relative to it; "
+            "add light, or turn the camera."
+        )
     own = reference.error
     apart = [point for point in points if point.setting != reference.setting]
     if session.knob.random and reference.how == "other seeds":

@@ -49,7 +49,8 @@ def size_of(shape: Shape) -> Scalar:
         case Box():
             return largest_component(shape.centre) + jnp.abs(shape.half_extents).sum()
         case TriangleMesh():
-            return jnp.abs(shape.vertices).max()
+            known = jnp.isfinite(shape.vertices)  # triangles at other vertices are never met
+            return jnp.where(known, jnp.abs(shape.vertices), 0).max()
 
 
 def largest_size(shapes: Sequence[Shape]) -> Scalar:

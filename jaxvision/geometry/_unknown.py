@@ -1,13 +1,16 @@
-"""Hits of rays that are not finite."""
+"""Hits of rays that are not finite, and of shapes whose place is unknown."""
 
 import jax
 import jax.numpy as jnp
 
+from ..core._types import Scalar
 from .rays import Hit, Ray
 
 
-def unknown_without_ray(hit: Hit, ray: Ray) -> Hit:
-    """Return the hit. If a number of the ray is NaN or infinite, every number of the result is
-    NaN."""
+def unknown_without_ray(hit: Hit, ray: Ray, *of_shapes: Scalar) -> Hit:
+    """Return the hit, of which every number is NaN if the ray has one that is NaN or infinite, or
+    if one of the shapes' numbers is NaN."""
     lost = ~jnp.isfinite(sum(jax.tree.leaves(ray)))
+    for number in of_shapes:
+        lost |= jnp.isnan(number).any()
     return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), hit)

@@ -120,7 +120,8 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    return unknown_without_ray(box_hit(ray, box, materialise), ray)
+    hit = box_hit(ray, box, materialise)
+    return unknown_without_ray(hit, ray, *jax.tree.leaves(box))
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:

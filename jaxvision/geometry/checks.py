@@ -1,6 +1,8 @@
 """Return messages about invalid geometric shapes. File readers and commands call these checks
 before rays are traced. The checks use NumPy, with lengths in metres."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -116,14 +118,49 @@ def coarse(shape: Shape) -> list[str]:
     ]
 
 
-def warn_if_coarse(*shapes: Shape) -> None:
-    """Warn about the first shape so far from the origin that rounding deforms it, if its numbers
-    are known.
-    """
-    for shape in shapes:
-        if all(map(is_known, jax.tree.leaves(shape))) and (found := coarse(shape)):
+def warn_of_shapes(*shapes: Shape) -> None:
+    """Warn once about shapes whose numbers are known: about a shape that is not valid, about one so
+    far from the origin that rounding deforms it, and of two shapes in the same place."""
+    known = [all(map(is_known, jax.tree.leaves(shape))) for shape in shapes]
+    for shape, sure in zip(shapes, known, strict=True):
+        if sure and (found := _unmet(shape) or coarse(shape)):
             warn_caller(found[0])
             return
+    where = [f"Scene.surfaces[{i}]" for i in range(len(shapes))]
+    sure = [shape if sure else None for shape, sure in zip(shapes, known, strict=True)]
+    if found := coincident(sure, where):
+        warn_caller(found[0])
+
+
+def _unmet(shape: Shape) -> list[str]:
+    """List why rays meet a shape nowhere, or miss a part of a mesh."""
+    if not isinstance(shape, TriangleMesh):
+        return invalid(shape)
+    lost = int((~np.isfinite(np.asarray(shape.vertices)).all(axis=1)).sum())
+    return [
+        f"TriangleMesh: {lost} of its {len(shape.vertices)} vertices are not finite, and rays miss "
+        "the triangles there; leave them out."
+    ][:lost]
+
+
+def coincident(shapes: Sequence[Shape | None], names: Sequence[str]) -> list[str]:
+    """Return one message for each shape that is exactly a shape before it; None is passed over."""
+    found, known = [], {}
+    for name, shape in zip(names, shapes, strict=True):
+        if shape is None:
+            continue
+        numbers = [np.asarray(x) for x in jax.tree.leaves(shape)]
+        start = (type(shape), *((x.shape, x.ravel()[:9].tobytes()) for x in numbers))
+        for other, first in known.setdefault(start, []):
+            if all(map(np.array_equal, numbers, other)):
+                found.append(
+                    f"{name}: lies exactly where {first} lies, so that rays meet only one of them; "
+                    "move or remove it."
+                )
+                break
+        else:
+            known[start].append((numbers, name))
+    return found
 
 
 def _nonpositive_problem(name: str, value: object) -> list[str]:

@@ -10,6 +10,7 @@ A ray that is (nearly) parallel to the plane misses it.
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -72,7 +73,8 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
         >>> print(jv.geometry.intersect_plane(jv.Ray([0, 0, 2], [0.6, 0, -0.8]), floor).distance)
         2.5
     """
-    return unknown_without_ray(plane_hit(ray, plane, materialise), ray)
+    hit = plane_hit(ray, plane, materialise)
+    return unknown_without_ray(hit, ray, *jax.tree.leaves(plane))
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
@@ -96,7 +98,8 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
         >>> print(jv.geometry.intersect_disc(jv.Ray([2, 0, 0], [0, 0, 1]), disc).distance)
         inf
     """
-    return unknown_without_ray(disc_hit(ray, disc, materialise), ray)
+    hit = disc_hit(ray, disc, materialise)
+    return unknown_without_ray(hit, ray, *jax.tree.leaves(disc))
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
@@ -180,7 +183,8 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
-    return unknown_without_ray(quad_hit(ray, flat, meets, materialise), ray)
+    hit = quad_hit(ray, flat, meets, materialise)
+    return unknown_without_ray(hit, ray, *jax.tree.leaves(quad))
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:

@@ -29,7 +29,7 @@ from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
 from ._unknown import unknown_without_ray
 from .box import box_distance, box_hit, intersect_box
-from .checks import warn_if_coarse
+from .checks import warn_of_shapes
 from .flat import (
     FlatQuad,
     disc_hit,
@@ -55,7 +55,8 @@ class Sorted(Shown):
     Attributes:
         groups: all shapes except meshes, stacked by type.
         meshes: the meshes.
-        size: () m, the largest coordinate of all shapes; None without shapes.
+        size: () m, the largest coordinate of all shapes, NaN if a number of a simple shape is
+            NaN; None without shapes.
         members: the indices of the shapes in each group; static.
         mesh_numbers: the indices of the meshes; static.
     """
@@ -85,6 +86,8 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
     meshes = {i: shape for i, shape in enumerate(shapes) if isinstance(shape, TriangleMesh)}
     groups = group_by_structure([shapes[i] for i in simple])
     sizes = [jax.vmap(size_of)(group).max() for _, group in groups]
+    for number in jax.tree.leaves([group for _, group in groups]):
+        sizes.append(jnp.where(jnp.isnan(number).any(), jnp.nan, 0))
     sizes += [size_of(mesh) for mesh in meshes.values()]
     return Sorted(
         tuple(fuse(jax.vmap(flat_quad)(g)) if isinstance(g, Quad) else g for _, g in groups),
@@ -103,8 +106,9 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
         shape: any shape, m.
 
     Returns:
-        The nearest hit in front of the origin; a miss has distance inf. All numbers are NaN if a
-        number of the ray is NaN or infinite.
+        The nearest hit in front of the origin; a miss has distance inf. All numbers are NaN if
+        the ray has one that is NaN or infinite, or if the shape, except a mesh, has one that is
+        NaN.
 
     Raises:
         ValueError: if the arguments are not a ray and a shape.
@@ -119,7 +123,7 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
     """
     check_kind("intersect: ray", ray, Ray)
     check_kind("intersect: shape", shape, Shape)
-    warn_if_coarse(shape)
+    warn_of_shapes(shape)
     match shape:
         case Sphere():
             return intersect_sphere(ray, shape)
@@ -200,7 +204,8 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         encounter: as `nearest_shape` returns it.
 
     Returns:
-        The hit; a miss if nothing was found, NaN for a ray that is not finite.
+        The hit; a miss if nothing was found. NaN for a ray that is not finite, and if a shape,
+        except a mesh, has a number that is NaN.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -227,7 +232,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         triangle = -1 if encounter.primitive is None else encounter.primitive
         hit = triangle_hit(ray, mesh, jnp.where(among, triangle, -1))
         chosen = _choose(among, hit, chosen)
-    return unknown_without_ray(chosen, ray)
+    return unknown_without_ray(chosen, ray, *(() if ready.size is None else (ready.size,)))
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:

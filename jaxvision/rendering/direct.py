@@ -21,7 +21,7 @@ from ..core._types import Colour, Image, Scalar, check_given
 from ..core._vector import Vec, as_array, where
 from ..core._warnings import one_call
 from ..geometry import Encounter, Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
-from ..geometry.checks import warn_if_coarse
+from ..geometry.checks import warn_of_shapes
 from ..lights import (
     Balanced,
     DirectionalLight,
@@ -423,7 +423,7 @@ def render(
     """
     check_given("render: scene", scene, Scene)
     check_given("render: view", view, View)
-    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    warn_of_shapes(*(surface.shape for surface in scene.surfaces))
     rules = rules_of(scene, rule)
     warn_of_skies(scene.lights, rules, CURE)
     warn_of_near_surfaces(scene.lights, rules, scene.surfaces, CURE_NEAR)

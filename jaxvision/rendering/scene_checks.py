@@ -88,20 +88,6 @@ def scene_problems(
     return found
 
 
-def coincident_surfaces(scene: Scene, surfaces: Sequence[str]) -> list[str]:
-    """Return one finding for each surface whose shape equals that of an earlier surface."""
-    found, known = [], {}
-    for name, surface in zip(surfaces, scene.surfaces, strict=True):
-        numbers = (np.asarray(x).tobytes() for x in jax.tree.leaves(surface.shape))
-        first = known.setdefault((type(surface.shape), *numbers), name)
-        if first != name:
-            found.append(
-                f"{name}: lies exactly where {first} lies, so that rays meet only one of them; "
-                "move or remove it."
-            )
-    return found
-
-
 def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
     """Return one finding for each lamp that illuminates no surface even without shadows. A finding
     begins with the lamp's name or its index in the scene.

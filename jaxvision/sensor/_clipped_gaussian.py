@@ -156,7 +156,7 @@ def narrow_window_moments(width: Scalars, offset: Scalars) -> tuple[Scalars, Sca
     narrow (`is_narrow`), and its middle m = offset >= 0. The moments are E[u] = int S du and E[u^2]
     = 2 int u S du. The survival function S(m + x) is the series S(m) - phi(m) (x - He_1(m) x^2 / 2!
     + He_2(m) x^3 / 3! - ...) with Hermite polynomials He."""
-    m, half = offset, width / 2
+    m, half = jnp.minimum(offset, _BEYOND), width / 2
     even, odd = jnp.ones_like(m), m  # He_{2k-2} and He_{2k-1}
     power, more, less = half, jnp.zeros_like(m), jnp.zeros_like(m)
     for k in range(1, 6):

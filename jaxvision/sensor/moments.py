@@ -557,8 +557,8 @@ def _count_sum_moments(sensor: Sensor, mean: Scalars) -> Moments:
 
 def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
     """Return the moments of the numbers of the ADC, in DN. Without noise, rounding is assumed to
-    add 1/12 DN^2, except for a single count of electrons (`of_one_count`), for which rounding is
-    exact."""
+    add 1/12 DN^2, except for a single count of electrons (`of_one_count`) and with shot noise, as
+    in a full well. For these, rounding is exact."""
     if sensor.bits is None:
         return _signal(sensor, read)
     analogue = _signal(replace(sensor, bits=None), read)
@@ -567,7 +567,8 @@ def _convert(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Mo
         Moments(analogue.mean, analogue.variance + QUANTISATION_VARIANCE), low=low, high=high
     )
     fine = analogue.variance < 1  # DN^2
-    fine = fine if of_one_count else fine & (analogue.variance > 0)
+    if not of_one_count and sensor.shot_noise is None:
+        fine = fine & (analogue.variance > 0)
     return jax.tree.map(partial(jnp.where, fine), _round(analogue, fine, high), wide)
 
 
@@ -583,7 +584,8 @@ def _round(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments
     for step in range(2 * ROUNDED + 1):
         code = base + step
         beyond = analogue.mean - code - 0.5
-        chance = jnp.where(noisy, ndtr(beyond / sigma), (beyond > 0).astype(beyond.dtype))
+        above = jnp.round(analogue.mean) > code  # of a half, the even neighbour, as in `digitise`
+        chance = jnp.where(noisy, ndtr(beyond / sigma), above.astype(beyond.dtype))
         chance = jnp.where((code >= 0) & (code < high), chance, 0)
         first = first + chance
         second = second + (2 * (code - start) + 1) * chance

@@ -17,7 +17,7 @@ from ..core._loops.fusion import one_program
 from ..core._maps import ENDS, replace_maps
 from ..core._types import Colour, common_dtype, is_known
 from ..core._warnings import warn_caller
-from ..geometry.checks import warn_if_coarse
+from ..geometry.checks import warn_of_shapes
 from ..scene import Material, Scene
 
 _ROUNDING = 1e-4  # allows for the rounding and quadrature errors of an albedo of 1
@@ -27,7 +27,7 @@ def warn_of_scene(scene: Scene) -> None:
     """Warn of shapes that are so far from the origin that rounding deforms them, and of the first
     surface that reflects more light than it receives along its normal. Numbers that JAX traces are
     not checked."""
-    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    warn_of_shapes(*(surface.shape for surface in scene.surfaces))
     for i, surface in enumerate(scene.surfaces):
         if not all(map(is_known, jax.tree.leaves(surface.material))):
             continue

@@ -13,7 +13,7 @@ Radiance is in W m^-2 sr^-1, flux in W, lengths are in m.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .. import lights
 from ..core._arguments import takes_numbers
@@ -46,6 +46,8 @@ from ._vertices import (
     world_of,
 )
 from .paths import Paths, path_traced
+
+_Pieces = tuple[Int[Array, " pieces"], Float[Array, "pieces bands"], Bool[Array, ""]]
 
 
 class _Arrival(eqx.Module):
@@ -127,22 +129,25 @@ def _add_sources(
     height, width = view.resolution
     batch = min(paths, entries_per_step(TILE))
 
-    def trace(number: Array) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
+    def trace(number: Array) -> _Pieces:
         stream = Stream(number.astype(jnp.uint32), jnp.zeros((), jnp.uint32), seed)
         return _light_path(world, ball, view, stream, depth)
 
     @jax.checkpoint
-    def add(state: tuple[Array, Array], first: Array) -> tuple[tuple[Array, Array], None]:
-        total, squares = state
+    def add(state: tuple[Array, ...], first: Array) -> tuple[tuple[Array, ...], None]:
+        total, squares, lost = state
         numbers = first + jnp.arange(batch)
-        pixels, values = jax.vmap(trace)(numbers)
+        pixels, values, astray = jax.vmap(trace)(numbers)
         values = jnp.where((numbers < paths)[:, None, None], values, 0)
         pixels, values = pixels.reshape(-1), values.reshape(-1, world.bands)
         total = total.at[pixels].add(values, mode="drop")
-        return (total, squares.at[pixels].add(values * values, mode="drop")), None
+        squares = squares.at[pixels].add(values * values, mode="drop")
+        return (total, squares, lost | astray.any()), None
 
     black = jnp.zeros((height * width, world.bands), view.pixel_pitch.dtype)
-    (total, squares), _ = scan(add, (black, black), jnp.arange(0, paths, batch))
+    begin = black, black, jnp.zeros((), bool)
+    (total, squares, lost), _ = scan(add, begin, jnp.arange(0, paths, batch))
+    total = jnp.where(lost, jnp.nan, total)  # light of which nobody knows where it goes
     shape = (height, width, world.bands)
     radiance = (total / paths).reshape(shape)
     variance = (squares / float(paths) ** 2).reshape(shape)
@@ -150,11 +155,9 @@ def _add_sources(
     return Traced(seen.radiance + radiance, safe_sqrt(variance + seen_variance))
 
 
-def _light_path(
-    world: World, ball: Ball | None, view: View, stream: Stream, depth: int
-) -> tuple[Int[Array, " pieces"], Float[Array, "pieces bands"]]:
+def _light_path(world: World, ball: Ball | None, view: View, stream: Stream, depth: int) -> _Pieces:
     """Return, for each vertex of one path, the index of the pixel that sees it and the radiance
-    that it adds."""
+    that it adds; and whether the path starts at or toward NaN."""
     dtype = view.pixel_pitch.dtype
     start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
     light = _emit(world.emitters, ball, jnp.append(start, more[0]))
@@ -193,7 +196,7 @@ def _light_path(
         pixel = jnp.where(within, row * width + column, height * width)
         onward = at.onward
         flux = flux * jnp.stack(onward.weight)
-        goes = flux.max() > 0
+        goes = ~(flux.max() <= 0)  # NaN goes on
         after = leave(met, ray, onward.direction, goes)
         absorption = absorption_after(world.surfaces, met, ray.direction, after, absorption)
         return (after, jnp.where(goes, flux, 0), absorption), (pixel, value)
@@ -201,7 +204,7 @@ def _light_path(
     ray = Ray(origin, light.ray.direction)
     begin = ray, flux, absorption_around(world.surfaces, ray, bands=world.bands)
     _, found = scan(jax.checkpoint(step), begin, jnp.arange(depth - 1, dtype=jnp.uint32))
-    return found
+    return *found, jnp.isnan(sum(jax.tree.leaves(ray)))
 
 
 def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:

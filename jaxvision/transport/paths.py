@@ -159,7 +159,9 @@ def _walk(
         # a zero that depends on the path, so that `vmap` batches the whole state from the start
         zero = (0 * pixel).astype(ray.origin.x.dtype)
         finite = jnp.isfinite(sum(jax.tree.leaves(ray)))
-        radiance = jnp.where(finite, zero, jnp.nan)  # NaN, like the ray's hits
+        if world.surfaces.shapes.size is not None:
+            finite &= ~jnp.isnan(world.surfaces.shapes.size)
+        radiance = jnp.where(finite, zero, jnp.nan)  # of a ray or a shape at NaN as of its hits
         return _Path(
             ray,
             (zero + 1,) * world.bands,
@@ -273,9 +275,9 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
     onward = at.onward
     weight = times(path.weight, onward.weight)
     largest = reduce(jnp.maximum, weight)
-    alive = path.alive & (largest > 0)
+    alive = path.alive & ~(largest <= 0)  # NaN goes on
     if method.roulette is not None:
-        likely = jnp.where(k >= method.roulette, jnp.minimum(jax.lax.stop_gradient(largest), 1), 1)
+        likely = jnp.where(k >= method.roulette, jnp.fmin(jax.lax.stop_gradient(largest), 1), 1)
         alive &= of_surface[3] < likely
         weight = tuple(divide(w, likely) for w in weight)
     ray = materialise(leave, met, came, onward.direction, alive)

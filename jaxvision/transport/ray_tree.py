@@ -26,7 +26,7 @@ from ..core._vector import Vec, as_array
 from ..core._warnings import one_call
 from ..core.parallel_loops import map_, scan
 from ..geometry import Ray
-from ..geometry.checks import warn_if_coarse
+from ..geometry.checks import warn_of_shapes
 from ..lights import Quadrature, rules_of
 from ..lights.environment_quadrature import warn_of_skies
 from ..lights.near_rectangles import warn_of_near_surfaces
@@ -229,7 +229,7 @@ def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
         (jnp.minimum(k + 1, slots - 1), way.refracted, way.refracted_weight),
         (next_one, way.mirrored, way.mirrored_weight),
     ):
-        onward = leave(met, ray, direction, (weight * part).max() > 0)
+        onward = leave(met, ray, direction, ~((weight * part).max() <= 0))
         after = absorption_after(world.surfaces, met, ray.direction, onward, absorption)
         tree = _store(tree, slot, onward, weight * part, after)
     return tree
@@ -313,7 +313,7 @@ def ray_traced(
     """
     check_given("ray_traced: scene", scene, Scene)
     check_given("ray_traced: view", view, View)
-    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    warn_of_shapes(*(surface.shape for surface in scene.surfaces))
     rules = rules_of(scene, rule)
     warn_of_skies(
         scene.lights, rules, "Take path_traced, or take the sun out of the map and add a SunDisc."

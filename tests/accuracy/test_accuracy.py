@@ -633,6 +633,9 @@ def test_relative_rms_and_empty_sweeps():
 def test_no_error_is_a_share_of_nothing():
     with pytest.raises(InputError, match="reference is 0"):
         relative_rms(np.ones(3), np.zeros(3))
+    dark = Problem("dark", lambda settings: lambda seed: np.zeros(3), exact=[0.0] * 3)
+    with pytest.warns(UserWarning, match="dark: the reference is 0 everywhere"):
+        curve(dark, N, clock=Clock())
 
 
 def test_a_reference_of_another_shape_is_refused():

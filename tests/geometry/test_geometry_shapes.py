@@ -22,6 +22,7 @@ from jaxvision.geometry import (
     occluded,
     problems,
 )
+from jaxvision.geometry.checks import warn_of_shapes
 from jaxvision.scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 
 RNG = np.random.default_rng(19)
@@ -414,3 +415,43 @@ def test_a_ray_that_is_not_finite_has_hits_of_nan(number):
     for at in range(6):
         lost = np.where(np.arange(6) == at, number, given)
         assert np.isnan(numbers(lost[:3], lost[3:])).all()
+
+
+@pytest.mark.sweep
+def test_a_shape_at_nan_has_hits_of_nan():
+    floor, ray = Plane([0, 0, 0], [0, 0, 1]), Ray([0.1, 0, 5], [0, 0, -1])
+
+    @jax.jit
+    def distances(z):
+        found = []
+        for shape in (
+            Sphere([z, 0, 1], 1),
+            Disc([0, 0, 1], [0, z, 1], 1),
+            Quad([z, 0, 1], [1, 0, 0], [0, 1, 0]),
+        ):
+            both = [floor, shape]
+            found += [intersect(ray, shape), hit_shape(ray, both, nearest_shape(ray, both))]
+        return jnp.stack([hit.distance for hit in found])
+
+    assert np.isfinite(distances(0.01)).all()
+    assert np.isnan(distances(np.nan)).all()
+
+
+def test_shapes_that_rays_miss_or_meet_twice_are_named():
+    """By every renderer, at the first scene with known numbers."""
+    hole = TriangleMesh([[0, 0, 1.0], [1, 0, 1], [0, np.nan, 1]], [[0, 1, 2]])
+    ball = Sphere([0, 0, 0], 1)
+    mesh = TriangleMesh(CUBE.vertices, CUBE.faces)
+    for shapes, said in (
+        ([hole], "1 of its 3 vertices are not finite"),
+        ([Quad([0, 0, np.inf], [1, 0, 0], [0, 1, 0])], "Quad.corner holds a number that is not"),
+        ([ball, hole, ball], "1 of its 3"),
+        ([ball, Sphere([0, 0, 0], 2), Sphere([0, 0, 0], 1)], r"surfaces\[2\]: lies exactly where"),
+        ([mesh, TriangleMesh(CUBE.vertices, CUBE.faces)], r"surfaces\[1\]: lies exactly where"),
+    ):
+        with pytest.warns(UserWarning, match=said):
+            warn_of_shapes(*shapes)
+    moved = np.asarray(CUBE.vertices) + 1e-3 * (np.arange(8)[:, None] == 7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_shapes(mesh, TriangleMesh(moved, CUBE.faces), ball, Disc([0, 0, 0], [0, 0, 1], 1))

@@ -183,3 +183,32 @@ def test_faint_light_and_few_bits_have_the_moments_of_counts(
     found = clipped_moments(sensor, jnp.asarray([electrons]))
     truth = by_counts(electrons, read_noise, gain, offset, bits, well)
     np.testing.assert_allclose([x[0] for x in found], truth, rtol=error)
+
+
+@pytest.mark.slow
+def test_counts_without_read_noise_are_rounded_as_the_converter_does():
+    """Halves go to the even number, and a full well is one number without variance."""
+
+    @jax.jit
+    def found(electrons, gain, well):
+        noise = s.PoissonShotNoise()
+        sensor = s.Sensor(shot_noise=noise, gain=gain, offset=3.0, bits=12, full_well=well)
+        return jnp.stack(clipped_moments(sensor, electrons))[:, 0]
+
+    for gain, well in ((0.5, 1e3), (0.25, 1e3), (0.25, 2.0), (1.0, 10.3), (0.25, 250.0)):
+        for electrons in (5.0, 1e5):
+            counts = np.arange(60) if electrons < 20 else np.array([electrons])
+            share = poisson.pmf(counts, electrons) if electrons < 20 else np.ones(1)
+            numbers = np.round(gain * np.minimum(counts, well) + 3)
+            mean = share @ numbers
+            truth = mean, share @ (numbers - mean) ** 2
+            one = found(jnp.asarray([electrons]), gain, well)
+            np.testing.assert_allclose(one, truth, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_signal_far_above_a_narrow_window_is_its_upper_end():
+    """10^15 DN with noise of 3e10 DN, in float32, for a converter that ends at 65535 DN."""
+    far = Moments(jnp.array(1e15, jnp.float32), jnp.array(1e21, jnp.float32))
+    ends = {name: jnp.array(x, jnp.float32) for name, x in (("low", 0), ("high", 65535))}
+    assert [float(x) for x in censored(far, **ends)] == [65535, 0]

@@ -344,6 +344,31 @@ def test_light_traced_is_path_traced():
 
 
 @pytest.mark.slow
+def test_nan_in_the_scene_is_nan_in_the_picture_of_each_tracer():
+    """Of a lamp or a shape at NaN everywhere; of an albedo in its band alone."""
+    view = jv.Orthographic((0, 0, 2), np.diag([1, -1, -1]), 0.9, resolution=(2, 1))
+
+    @jax.jit
+    def pictures(lamp_z, radius, albedo):
+        floor = Surface(Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.2, 0.2]))
+        roof = Surface(Quad([-1, -1, 5], [0, 2, 0], [2, 0, 0]), jv.Lambert([albedo, 0.2]))
+        ball = Surface(Sphere([0.9, 0.9, 0.1], radius), jv.Lambert([0.2, 0.2]))
+        scene = Scene([floor, roof, ball], [jv.SmallLight((0, 0, lamp_z), (0, 0, 1), (9, 9))])
+        light = light_traced(KEY, scene, view, paths=40000, depth=4)
+        paths = path_traced(KEY, scene, view, method=Paths(16, 4, roulette=1))
+        return light.radiance, paths.radiance
+
+    known, (light, _) = pictures(1.5, 0.1, 0.2), pictures(1.5, 0.1, np.nan)
+    assert np.mean(known) > 0
+    assert all(
+        np.isnan(x).all() for x in (*pictures(np.nan, 0.1, 0.2), *pictures(1.5, np.nan, 0.2))
+    )
+    assert np.isnan(light[..., 0]).all()
+    for band, right in zip(pictures(1.5, 0.1, np.nan), known, strict=True):
+        np.testing.assert_allclose(band[..., 1], right[..., 1], rtol=1e-5)
+
+
+@pytest.mark.slow
 def test_light_reaches_a_lens_that_distorts():
     """A wall under a point light, seen through a barrel."""
     k = -0.2

@@ -25,8 +25,8 @@ from ...core._types import as_dtype
 from ...core._warnings import warn
 from ...core.in_notebooks import record_html
 from ...errors import InputError, nearest
-from ...geometry.checks import coarse, invalid
-from ...rendering.scene_checks import coincident_surfaces, lost_numbers, scene_problems
+from ...geometry.checks import coarse, coincident, invalid
+from ...rendering.scene_checks import lost_numbers, scene_problems
 from ...scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from ..gltf import SUFFIXES as GLTF
 from ..records import record_of
@@ -167,7 +167,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise InputError(f"{file}: render.dtype = 'float64' needs JAX's jax_enable_x64; set it.")
     kept, kept_view = as_dtype((scene, view), dtype)
     _check_rounding(file, names, light_names, (scene, view), (kept, kept_view))
-    for hidden in coincident_surfaces(scene, names):
+    for hidden in coincident([surface.shape for surface in scene.surfaces], names):
         warn(f"{file}: {hidden}")
     for idle in ineffective_keys(content, entry):
         warn(f"{file}: {idle}.")
