@@ -130,7 +130,7 @@ class Levels(eqx.Module):
             where the pixels are not adjacent.
         residues: (levels, 2, 5, residues) means of the average frame and of its variance, by row,
             by column and by position in a cell (`periodic`); None without frames.
-        quarters: (levels, 2, 8) means of the average frame and of its variance for the quarters of
+        quarters: (levels, 2, 12) means of the average frame and of its variance for the quarters of
             a frame, its centre and border, and the steps at its middle (`periodic`).
         taken: (levels,) s since the first level, when the first frame was taken; None if unknown.
         local_pattern: (levels,) variance that is the same in all frames, from differences of
@@ -155,10 +155,10 @@ class Levels(eqx.Module):
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
     residues: Float[Array, "levels 2 5 residues"] | None = None
-    quarters: Float[Array, "levels 2 8"] | None = None
+    quarters: Float[Array, "levels 2 12"] | None = None
     taken: Float[Array, " levels"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
-    blocks: Float[Array, "levels 2 8"] | None = None
+    blocks: Float[Array, "levels 2 12"] | None = None
     combs: Float[Array, "levels steps 8 8"] | None = None
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
     flicker: Float[Array, "2 levels"] | None = None

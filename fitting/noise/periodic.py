@@ -28,6 +28,8 @@ CELL = 4
 PERIODS = (2, 4, 8)
 CENTRE, QUARTERS = "centre and border", "quadrants"
 HALVES = ("left and right", "top and bottom")
+STEPS = (*HALVES, QUARTERS)
+SIGNS = np.array([[-1, 1, -1, 1], [-1, -1, 1, 1], [-1, 1, 1, -1]]) / 2  # of a step in each quarter
 PARTS_OF = {  # quarters of a frame in each part
     HALVES[0]: ([0, 2], [1, 3]),
     HALVES[1]: ([0, 1], [2, 3]),
@@ -42,6 +44,7 @@ CONTRASTS = (
 BLOCKS = 24  # blocks of lines along a side for the detection of steps
 FEWEST_STEPS = 6  # needed to estimate chance differences between blocks of lines
 FALSE_ALARM_PROBABILITY = 1e-4  # probability of a false finding
+LEAST_DARK_NOISE = 0.5  # steps of the converter; a smaller noise differs by the place between codes
 NEGLIGIBLE_NOISE_SHARE = 0.1  # of a pixel's temporal noise, below which structure is negligible
 # Largest gain difference that nonlinearity makes of a signal difference, relative to it
 NONLINEARITY_GAIN_SHARE = 0.2
@@ -101,14 +104,15 @@ def _mean(values: np.ndarray, count: np.ndarray) -> float:
 
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
-) -> Float[np.ndarray, "2 8"]:
-    """Return two rows of 8 numbers. The first six numbers of each row are means over the quarters
+) -> Float[np.ndarray, "2 12"]:
+    """Return two rows of 12 numbers. The first six numbers of each row are means over the quarters
     of the frame (top left, top right, bottom left, bottom right) and over its inner and outer half.
     The first row contains means of the average frame, the second row means of the temporal
-    variance. The last two numbers are for the vertical and horizontal middle lines: in the first
-    row the steps of the average frame at these lines, in the second row their p-values.
+    variance. Then come steps in the first row, with their p-values in the second: of the average
+    frame at the vertical and at the horizontal middle line, half the difference of the steps at the
+    vertical line in the upper and lower half, and the same three steps of the temporal variance.
     """
-    (h, w), found = average.shape, np.full((2, 8), np.nan)
+    (h, w), found = average.shape, np.full((2, 12), np.nan)
     if min(h, w) > 1:
         inner = _inner_half(h, w)
         for own, plane in zip(found, (average, temporal), strict=True):
@@ -119,9 +123,21 @@ def quarters(
             ]
             own[:4] = [_mean(plane[place], live.mask[place]) for place in places]
             own[4:6] = [_mean(plane, live.mask & zone) for zone in (inner, ~inner)]
-        for i, axis in enumerate((1, 0)):
-            found[:, 6 + i] = _step(live.line_means(average, axis))
+        for first, plane in ((6, average), (9, temporal)):
+            for i, axis in enumerate((1, 0)):
+                found[:, first + i] = _step(live.line_means(plane, axis))
+            found[:, first + 2] = _step(_upper_less_lower(plane, live) / 2)
     return found
+
+
+def _upper_less_lower(plane: np.ndarray, live: LivePixels) -> np.ndarray:
+    """Return the mean of each column in the upper half of the frame minus that in the lower."""
+    middle, valid = -(-len(plane) // 2), live.zero_invalid(plane)
+    upper, lower = (
+        _quotient(valid[half].sum(axis=0), live.mask[half].sum(axis=0))
+        for half in (np.s_[:middle], np.s_[middle:])
+    )
+    return upper - lower
 
 
 @lru_cache(maxsize=1)
@@ -159,6 +175,7 @@ class Periodic:
     period: int  # in rows or columns; 2 for a mosaic; 0 for parts of the frame
     gains: tuple[float, ...] = ()  # DN/e-, of each class; empty where the classes do not differ
     offsets: tuple[float, ...] = ()  # DN, of each class in the dark; empty where they do not differ
+    noises: tuple[float, ...] = ()  # DN rms, of each class in the dark; empty where equal
     # of each class relative to their mean; empty where they do not differ
     signals: tuple[float, ...] = ()
 
@@ -193,8 +210,11 @@ def periodic_structure(
         "gains": known,
         "offsets": NEGLIGIBLE_NOISE_SHARE * of_dark,
         "signals": NEGLIGIBLE_NOISE_SHARE * of_top,
+        "noises": NEGLIGIBLE_NOISE_SHARE / 2,
     }
     values = {"gains": gains, "offsets": black, "signals": share}
+    if of_dark > LEAST_DARK_NOISE * (measurement.converter.step or 1):
+        values["noises"] = np.sqrt(unlit[:, 1].mean(axis=0))
     if not np.isfinite(gains[:3, :RESIDUES]).all():
         return tuple(_unequal_parts(measurement, usable, matched))
 
@@ -225,8 +245,8 @@ def periodic_structure(
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
-    """Return the rms deviation between classes, for gains relative to their mean."""
-    return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
+    """Return the rms deviation between classes, for gains and noises relative to their mean."""
+    return float(np.std(values) / (np.mean(values) if name in ("gains", "noises") else 1.0))
 
 
 def _classes(values: Float[np.ndarray, "5 residues"], kind: int, period: int) -> tuple[float, ...]:
@@ -278,8 +298,8 @@ def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
     """Find halves or quarters of the frame with different gains or with a step between their black
-    levels or their signals, and a centre whose gain differs from that of the border. Smoothly
-    uneven light cannot cause such differences."""
+    levels, dark noises or signals, and a centre whose gain differs from that of the border.
+    Smoothly uneven light cannot cause such differences."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
@@ -289,25 +309,30 @@ def _unequal_parts(
     signal = np.asarray(bright.mean)[usable] - np.asarray(dark.mean)[matched]
     top = int(np.argmax(signal))
     of_top = float(np.sqrt(np.asarray(bright.variance)[usable][top]) / signal[top])
-    share = np.median((lit[:, 0, 6:] - unlit[matched][:, 0, 6:]) / signal[:, None], axis=0)
-    stepped = _steps_that_matter(np.median(unlit[:, 0, 6:], axis=0), unlit, of_dark)
-    unlike = _steps_that_matter(share, lit, of_top)
+    share = np.median((lit[:, 0, 6:9] - unlit[matched][:, 0, 6:9]) / signal[:, None], axis=0)
+    steps = np.median(unlit[:, 0, 6:], axis=0)
+    stepped = _steps_that_matter(steps[:3], unlit[:, 1, 6:9], of_dark)
+    unlike = _steps_that_matter(share, lit[:, 1, 6:9], of_top)
+    noisier: list[str] = []
+    if of_dark > LEAST_DARK_NOISE * (measurement.converter.step or 1):
+        noisier = _steps_that_matter(steps[3:], unlit[:, 1, 9:], 2 * of_dark**2)
     gains, unequal = _gains_of_parts(measurement, usable, lit[..., :6], unlit[:, :, :6][matched])
     found = [Periodic(CENTRE, 0, gains=tuple(gains[4:]))] if CENTRE in unequal else []
-    parts = {*unequal, *stepped, *unlike} - {CENTRE}
+    parts = {*unequal, *stepped, *unlike, *noisier} - {CENTRE}
     if not parts:
         return found
     where = parts.pop() if parts < {*HALVES} else QUARTERS
     own = PARTS_OF[where]
     of_gains = where in unequal or (where == QUARTERS and unequal)
-    across, down = (s * (part in unlike) / 2 for s, part in zip(share, HALVES, strict=True))
-    signals = np.outer([1 - down, 1 + down], [1 - across, 1 + across]).ravel()
+    signals = 1 + (share * [part in unlike for part in STEPS]) @ SIGNS
+    noises = np.sqrt(np.median(unlit[:, 1, :4], axis=0))
     return [
         Periodic(
             where,
             0,
             gains=tuple(float(gains[one].mean()) for one in own) if of_gains else (),
             offsets=tuple(float(black[one].mean()) for one in own) if stepped else (),
+            noises=tuple(float(noises[one].mean()) for one in own) if noisier else (),
             signals=tuple(float(signals[one].mean()) for one in own) if unlike else (),
         ),
         *found,
@@ -315,13 +340,13 @@ def _unequal_parts(
 
 
 def _steps_that_matter(
-    step: Float[np.ndarray, "2"], of_levels: Float[np.ndarray, "levels 2 8"], noise: float
+    step: Float[np.ndarray, "3"], p_values: Float[np.ndarray, "levels 3"], noise: float
 ) -> list[str]:
-    """Return the halves between which frames have a significant, not negligible step."""
-    rare = np.median(of_levels[:, 1, 6:], axis=0)
+    """Return the parts between which frames have a significant, not negligible step."""
+    rare = np.median(p_values, axis=0)
     return [
         part
-        for part, p, size in zip(HALVES, rare, np.abs(step), strict=True)
+        for part, p, size in zip(STEPS, rare, np.abs(step), strict=True)
         if p < FALSE_ALARM_PROBABILITY and size > NEGLIGIBLE_NOISE_SHARE * noise
     ]
 
@@ -400,6 +425,9 @@ def periodic_in_words(
         if one.offsets:
             span = max(one.offsets) - min(one.offsets)
             parts.append(f"in black level by {span:.3g} DN ({format_number(span / gain, 1)} e⁻)")
+        if one.noises:
+            span = 100 * (max(one.noises) / min(one.noises) - 1)
+            parts.append(f"in dark noise by {span:.3g} %")
         if one.signals and not one.gains:
             span = 100 * (max(one.signals) / min(one.signals) - 1)
             parts.append(f"in signal by {span:.3g} %")
@@ -407,7 +435,12 @@ def periodic_in_words(
         cause, remedy = "several amplifiers", f"give camera.taps = {taps}"
         if one.where == CENTRE:
             cause, remedy = "a correction of lens shading in the camera", "give frames without it"
-        elif one.period and one.signals and not one.gains and not one.offsets and spacing == 1:
+        elif (
+            one.period
+            and one.signals
+            and spacing == 1
+            and not (one.gains or one.offsets or one.noises)
+        ):
             cause = {"rows": "interlaced rows, or a mosaic", "mosaic": "a colour mosaic"}.get(
                 one.where, "several amplifiers, or a mosaic"
             )
