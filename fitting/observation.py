@@ -18,6 +18,7 @@ from jaxvision.files.image_settings import read_settings
 from jaxvision.files.images import INTEGER_FORMATS, READ_ONLY_FORMATS, read_image
 from jaxvision.files.toml import checked
 
+from .inference.formatting import format_percent
 from .inference.given import plain_numbers
 from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 
@@ -305,15 +306,21 @@ def pixels_of_mask(stored: np.ndarray) -> Bool[np.ndarray, "h w"]:
     return values > values.max() / 2 if soft else values != 0
 
 
-def mosaic_contrast(picture: Float[np.ndarray, "h w"]) -> float:
-    """Return the relative difference of the sites of a 2 x 2 mosaic in a picture in DN above black,
-    if the difference has the same sign in most of the picture; else 0. Pixels that do not count are
-    NaN.
+def unequal_sites(picture: Float[np.ndarray, "h w"]) -> tuple[str, str]:
+    """Return a clause on sites of a 2 x 2 mosaic, rows or columns that differ in a picture in DN
+    above black, and the `[camera]` key that states them. Both are empty unless a relative
+    difference has one sign in most of the picture. Pixels that do not count are NaN.
     """
     height, width = (2 * (length // 2) for length in picture.shape)
-    a, b, c, d = (picture[i:height:2, j:width:2] for i in (0, 1) for j in (0, 1))
-    largest = 0.0
-    for one, other in ((a + d, b + c), (a, d), (b, c)):
+    whole = picture[:height, :width]
+    a, b, c, d = (whole[i::2, j::2] for i in (0, 1) for j in (0, 1))
+    found = []
+    for one, other in (  # along diagonals, each site between two of the other, as light may rise
+        (a + d, b + c),
+        ((a[:-1, :-1] + a[1:, 1:]) / 2, d[:-1, :-1]),
+        ((b[:-1, 1:] + b[1:, :-1]) / 2, c[:-1, 1:]),
+    ):
+        found.append(0.0)
         total = (one + other)[np.isfinite(one + other)]
         if total.size < FEWEST_BLOCKS:
             continue
@@ -322,8 +329,17 @@ def mosaic_contrast(picture: Float[np.ndarray, "h w"]) -> float:
             continue
         contrast = (one - other)[np.isfinite(one + other)][lit] / total[lit]
         if max(np.mean(contrast > 0), np.mean(contrast < 0)) > SAME_SIGN:
-            largest = max(largest, 2 * abs(float(np.median(contrast))))
-    return largest if largest > UNEQUAL_SITES else 0.0
+            found[-1] = 2 * float(np.median(contrast))
+    checks, down, up = np.abs(found)
+    largest = max(checks, down, up)
+    if largest <= UNEQUAL_SITES:
+        return "", ""
+    by = f"by {format_percent(largest)}"
+    if min(down, up) > max(down, up) / 2 > checks:  # the diagonals of a cell cross equal lines
+        lines, taps = ("columns", [1, 2]) if found[1] * found[2] < 0 else ("rows", [2, 1])
+        return f"Even and odd {lines} differ {by}, as with two amplifiers", f"camera.taps = {taps}"
+    differ = f"Neighbouring pixels differ {by} in a pattern of 2 x 2 pixels"
+    return f"{differ}, as in a raw colour mosaic", "camera.pattern"
 
 
 def read_mask(

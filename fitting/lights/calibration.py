@@ -30,10 +30,10 @@ from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_with_error
 from ..inference.given import plain_numbers, require_positive
 from ..observation import (
-    mosaic_contrast,
     pixels_of_mask,
     require_as_many,
     require_several_images,
+    unequal_sites,
 )
 from ..rig import SiteCamera
 from .file import Lights
@@ -167,11 +167,12 @@ def calibrate(
         if not 1 / UNLIKE < factor < UNLIKE and np.isfinite(factor)
     )
     inside = np.where(np.any(balls, axis=0), signals.mean(axis=0), np.nan)
-    if contrast := mosaic_contrast(inside):
+    clause, key = unequal_sites(inside)
+    if clause:
+        remedy = f"give {key}, with the numbers of each" if "taps" in key else "demosaic the images"
         sentences += (
-            f"Neighbouring pixels differ by {format_percent(contrast)} in a pattern of 2 x 2 "
-            "pixels, as in a raw colour mosaic. Its sites count as pixels of one colour, which "
-            "makes intensities wrong, and directions of a matte ball; give demosaiced images.",
+            f"{clause}. Such pixels count as equal, which makes intensities wrong, and directions "
+            f"of a matte ball; {remedy}.",
         )
     if focal_length is None:
         sentences += _lens_finding(found, lens.centre)

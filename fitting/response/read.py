@@ -34,6 +34,7 @@ from ..observation import (
     require_several_images,
     rig_in_memory,
     split_channels,
+    unequal_sites,
 )
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
 from .moved import moved_back, moved_exposures
@@ -168,6 +169,12 @@ def read_exposure_stack(
             f"{format_percent(fixed)} of the pixels have the same number above black in all "
             "images, as bars, an overlay or dead pixels have, and were left out."
         )
+    for plane in planes if rig.camera.sites == ("grey",) else ():
+        lit = np.where(plane.mask & (plane.codes < plane.clip), plane.codes - plane.black, np.nan)
+        clause, key = unequal_sites(lit.sum(axis=0))
+        if clause and plane.channel == "grey":
+            where = f"{plane.group}: " * bool(plane.group)
+            remarks.append(f"{where}{clause}, but have one curve here; give {key}.")
     step, origin = _grid_of(converter)
     remarks += _converter_in_words(converter, step)
     return ExposureStack(tuple(planes), rig.camera.bits, step, origin, tuple(remarks))

@@ -7,6 +7,7 @@ from oracles.sphere_photographs import shade_areas
 
 from fitting import folders, joint
 from fitting.inference.posterior import estimates
+from fitting.observation import unequal_sites
 from fitting.reflectance import Camera, SphereGeometry, from_photographs
 from fitting.reflectance.from_images.calibration import calibrate
 from fitting.reflectance.from_images.section import section
@@ -55,6 +56,24 @@ def test_a_ball_through_two_amplifiers_has_the_right_reflectance(kind):
         for name, true in TRUTH.items():
             assert abs(by_name[name].value - true) < 3.5 * by_name[name].standard_error
     assert "misfit" not in {one.name for one in estimates(together.posteriors["grey"])}
+
+
+@pytest.mark.parametrize(
+    ("cell", "key"),
+    [
+        ([[1.0, 1.06], [1.0, 1.06]], "camera.taps = [1, 2]"),
+        ([[1.0, 1.0], [1.06, 1.06]], "camera.taps = [2, 1]"),
+        ([[1.0, 1.2], [1.2, 0.7]], "camera.pattern"),
+        ([[1.2, 0.7], [1.0, 1.2]], "camera.pattern"),
+        ([[1.0, 1.0], [1.0, 1.0]], ""),
+    ],
+)
+def test_rows_and_columns_of_two_amplifiers_are_no_mosaic(cell, key):
+    """In light that rises by 5 % a pixel, too."""
+    light = np.random.default_rng(2).normal(1000, 10, (40, 40)) * 1.05 ** np.arange(40)
+    clause, found = unequal_sites(light * np.tile(cell, (20, 20)))
+    assert found == key
+    assert ("differ by 6 %, as with two amplifiers" in clause) == ("taps" in key)
 
 
 @pytest.mark.parametrize("kind", [*CAMERAS, ""])

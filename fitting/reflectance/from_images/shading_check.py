@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
-from ...observation import mosaic_contrast
+from ...observation import unequal_sites
 from ...rig import COLOURS
 from .read import Photographs, lightless_images
 
@@ -105,21 +105,22 @@ def contradictions(observation: Photographs, *, gamma: float | None = None) -> l
 
 
 def _mosaic_findings(observation: Photographs) -> list[str]:
-    """Report sites of a 2 x 2 mosaic that differ, in grey images or in one colour of a mosaic."""
+    """Report sites of a 2 x 2 mosaic, rows or columns that differ, in grey images or in one colour
+    of a mosaic."""
     if len(observation.channels) > 1:
         return []
     picture = np.full(observation.shape, np.nan)
     mean = np.mean(observation.dn[0] - observation.black, axis=0)
     picture[observation.rows, observation.columns] = mean
-    contrast = mosaic_contrast(picture)
+    clause, key = unequal_sites(picture)
     channel = next(iter(observation.channels))
-    what, why = "Neighbouring pixels", "as in a raw colour mosaic; give camera.pattern"
     if channel in COLOURS:
-        what = f"Neighbouring {channel} pixels"
-        why = "so the mosaic has another phase than camera.pattern says; correct it"
-    return [
-        f"{what} differ by {format_percent(contrast)} in a pattern of 2 x 2 pixels, {why}."
-    ] * bool(contrast)
+        clause = clause.replace("pixels", f"{channel} pixels", 1).partition(", as")[0]
+        return [
+            f"{clause}, so the mosaic has another phase than camera.pattern says; correct it."
+        ] * bool(clause)
+    each = ", and black_level and gain of each" * ("taps" in key)
+    return [f"{clause}; give {key}{each}."] * bool(clause)
 
 
 def drop_strangers(observation: Photographs) -> Photographs:

@@ -8,7 +8,7 @@ from jaxvision import ArrayLike
 from ...copies import Copies
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent, format_with_error
-from ...observation import mosaic_contrast
+from ...observation import unequal_sites
 from ..models import has_lobe, shape_of
 from ..names import Model
 from .lights import Common, Counted, Images, OfPixels, Readings, Rows, Vectors, predicted
@@ -232,12 +232,10 @@ def equal_images_finding(stack: Images) -> tuple[str, ...]:
 
 
 def mosaic_finding(stack: Images) -> tuple[str, ...]:
-    """Say that the images are a raw colour mosaic."""
-    contrast = mosaic_contrast(stack.mean(axis=0))
-    return (
-        f"Neighbouring pixels differ by {format_percent(contrast)} in a pattern of 2 x 2 pixels, "
-        "as in a raw colour mosaic. The albedo includes this pattern; give one colour at a time.",
-    ) * bool(contrast)
+    """Say that the images are a raw colour mosaic, or of two amplifiers."""
+    clause, key = unequal_sites(stack.mean(axis=0))
+    remedy = "correct the images with jaxvision.correct" if "taps" in key else "give one colour"
+    return (f"{clause}. The albedo includes this pattern; {remedy}.",) * bool(clause)
 
 
 def typical_albedo(g: Vectors) -> float:
