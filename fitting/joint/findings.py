@@ -15,7 +15,6 @@ from ..reflectance.from_images.findings import (
     CONTRADICTED,
     IDENTIFIABLE,
     NOT_CONVERGED,
-    quoted,
     said_of_channels,
     view_findings,
 )
@@ -23,7 +22,7 @@ from ..reflectance.from_images.lights import light_in_shadows
 from ..reflectance.from_images.perspective import AtOptimum
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..report.section import Table
-from ..report.sentences import Finding, Numbers, evaluate_findings
+from ..report.sentences import Finding, Numbers, evaluate_findings, quoted
 from .calibration import JointCalibration, fit_of_surface
 from .fit import JointFit, image_errors
 from .misfit import APART, NOISE, UnequalPixels, unequal_pixels
@@ -256,14 +255,13 @@ def _odd_light(of: OfChannel) -> Numbers | None:
 
 GIVEN = (
     CONTRADICTED,
-    Finding(
+    quoted(
         "assumed",
-        lambda c: quoted(
+        lambda c: [
             sentence
             for sentence in c.observation.findings
             if sentence != ASSUMED_BLACK or "black_level" in c.fits[0].data.known
-        ),
-        "{sentence}",
+        ],
     ),
     Finding(
         "darker than darks",
@@ -378,10 +376,9 @@ OF_CHANNEL = (
         "{file} is {share} {word} than its intensity says, {times:.1f} times the usual error of a"
         " light.",
     ),
-    Finding(
+    quoted(
         "convergence",
-        lambda of: quoted(convergence_in_words(p) for p in [_posterior(of)] if p is not None),
-        "{sentence}",
+        lambda of: [convergence_in_words(p) for p in [_posterior(of)] if p is not None],
     ),
 )
 

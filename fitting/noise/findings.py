@@ -1,6 +1,6 @@
 """The findings of a noise calibration, each with the condition under which it is reported."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +10,7 @@ from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
 from ..inference.formatting import format_p, format_percent, format_with_error, format_within
 from ..inference.trust import convergence_in_words
-from ..report.sentences import Finding, Numbers, evaluate_findings
+from ..report.sentences import Finding, Numbers, evaluate_findings, quoted
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration, lamp_error, steady_linearity
 from .counted import SUB_ELECTRON
@@ -103,11 +103,6 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
     if measurement.pattern is not None:  # a site of a mosaic
         return taps_of(_periodic(calibration), apart=2)
     return None if measurement.site is not None else taps_of(_periodic(calibration))
-
-
-def _quote(key: str, sentences: Callable[[NoiseCalibration], Iterable[str]]) -> Finding:
-    """Make a finding whose complete sentences another function returns."""
-    return Finding(key, lambda c: [{"sentence": one} for one in sentences(c)], "{sentence}")
 
 
 def _value_and_error(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
@@ -660,8 +655,8 @@ _CODES = (
 _NOT_EQUAL = "Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance"
 
 FINDINGS = (
-    _quote("left out", lambda c: (*c.measurement.bright.left_out, *c.measurement.dark.left_out)),
-    _quote("doubts", lambda c: [doubt.sentence for doubt in c.measurement.doubts]),
+    quoted("left out", lambda c: (*c.measurement.bright.left_out, *c.measurement.dark.left_out)),
+    quoted("doubts", lambda c: [doubt.sentence for doubt in c.measurement.doubts]),
     Finding(
         "flicker",
         _flicker,
@@ -679,7 +674,7 @@ FINDINGS = (
         "non-linearity cannot be detected. Let lamp and camera warm up, or take the levels in "
         "random order.",
     ),
-    _quote("processing", processing),
+    quoted("processing", processing),
     Finding(
         "low efficiency",
         partial(_efficiency, "low"),
@@ -700,8 +695,8 @@ FINDINGS = (
         "The quantum efficiency, {efficiency:.4g} %, is 100 % within its error. The sensor file "
         "has 100 %, and a gain with the same signal.",
     ),
-    _quote("periodic", periodic_findings),
-    _quote("converter", _converter),
+    quoted("periodic", periodic_findings),
+    quoted("converter", _converter),
     Finding(
         "levels of one converter",
         partial(_two_converters, True),
@@ -941,7 +936,7 @@ FINDINGS = (
         "{hours:.2g} hours. If they are milliseconds, the dark current is {other:.3g} e⁻/s, not "
         "{current:.3g}, and light per second is 1000 times as large: give seconds.",
     ),
-    _quote("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
+    quoted("partly saturated", lambda c: partly_saturated_in_words(c.measurement)),
     Finding(
         "no saturation",
         _highest_unsaturated,
@@ -1038,7 +1033,7 @@ FINDINGS = (
         lambda c: c.likelihood is not None and not c.chosen.optimum.stationary,
         "The likelihood fit did not converge. Do not use its figures.",
     ),
-    _quote("solver", _solver),
-    _quote("remarks", lambda c: c.measurement.remarks),
-    _quote("contradicted", _contradictions),
+    quoted("solver", _solver),
+    quoted("remarks", lambda c: c.measurement.remarks),
+    quoted("contradicted", _contradictions),
 )

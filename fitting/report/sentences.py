@@ -27,6 +27,11 @@ class Finding(NamedTuple):
     sentence: str  # format string of the sentence, into which the numbers are inserted
 
 
+def quoted(key: str, sentences: Callable[[Any], Iterable[str]]) -> Finding:
+    """Make a finding whose complete sentences a function of the calibration returns."""
+    return Finding(key, lambda c: [{"sentence": one} for one in sentences(c)], "{sentence}")
+
+
 def evaluate_findings(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
     """Return the sentences of those findings in a table whose conditions a calibration meets."""
     found = []

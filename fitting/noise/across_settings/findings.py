@@ -9,7 +9,7 @@ import numpy as np
 
 from ...inference.formatting import format_p, format_with_error
 from ...inference.trust import convergence_in_words
-from ...report.sentences import Finding, Numbers, evaluate_findings
+from ...report.sentences import Finding, Numbers, evaluate_findings, quoted
 from ..levels import Levels
 from ..regressions import MISFIT
 from .calibration import CameraCalibration
@@ -151,7 +151,7 @@ def _labels(chosen: Iterable[bool], calibration: CameraCalibration) -> Numbers |
 _LEFT = "chi-square per degree of freedom {ratio:.2f} over {degrees} ({p})"
 
 FINDINGS = (
-    Finding("left out", lambda c: [{"why": why} for why in c.left_out], "{why}"),
+    quoted("left out", lambda c: c.left_out),
     Finding(
         "impossible",
         lambda c: c.is_impossible,
@@ -287,5 +287,5 @@ FINDINGS = (
         lambda c: not c.fit.fit.optimum.stationary,
         "The fit did not converge. Do not use its figures.",
     ),
-    Finding("posterior", lambda c: {"text": convergence_in_words(c.posterior)}, "{text}"),
+    quoted("posterior", lambda c: [convergence_in_words(c.posterior)]),
 )

@@ -12,7 +12,7 @@ from jaxvision import as_array
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
-from ...report.sentences import Finding, Numbers, evaluate_findings
+from ...report.sentences import Finding, Numbers, evaluate_findings, quoted
 from ..models import LABELS, REFLECTANCES, facet_sentence, has_lobe, shape_of, shape_range
 from ..names import AXIS_NAMES, CLEAR, DESCRIBES, Axis, Model, Objective
 from .calibration import BRDFCalibration, albedo
@@ -457,11 +457,7 @@ FINDINGS = (
         "The error of {model} is {times:.1f} times larger at held-out incidences than at those of "
         "its fit, most at {angle:.0f}°: its predictions there need measurements there.",
     ),
-    Finding(
-        "facets",
-        lambda c: {"listing": facet_sentence(c.index)} if c.model in CLEAR else None,
-        "{listing}",
-    ),
+    quoted("facets", lambda c: [facet_sentence(c.index)] * (c.model in CLEAR)),
     Finding(
         "not determined",
         lambda c: [
@@ -496,7 +492,7 @@ FINDINGS = (
         "Standard errors come from leaving out each of the {count} incidences in turn, so they "
         "include the misfit of the model, not only noise.{drawn}",
     ),
-    Finding("data", lambda c: [{"listing": one} for one in c.measured.findings], "{listing}"),
+    quoted("data", lambda c: c.measured.findings),
 )
 OVER_MATERIALS = (
     Finding("best lobes", _best_lobes, "By {metric} at held-out incidences, {listing}."),

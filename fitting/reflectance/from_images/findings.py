@@ -14,7 +14,7 @@ from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
-from ...report.sentences import Finding, Numbers, evaluate_findings
+from ...report.sentences import Finding, Numbers, evaluate_findings, quoted
 from ..models import LABELS, facet_sentence, has_lobe
 from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters, residual_of_images
@@ -63,11 +63,6 @@ def said_of_channels(
         for fit in fits
         for sentence in evaluate_findings(table, (calibration, fit))
     )
-
-
-def quoted(sentences: Iterable[str]) -> list[Numbers]:
-    """Return sentences of other modules as the entries of a finding that quotes them."""
-    return [{"sentence": sentence} for sentence in sentences]
 
 
 # ---------------------------------------------------------------- each channel
@@ -193,11 +188,11 @@ def _list_uncompared(calibration: ReflectanceCalibration) -> Numbers | None:
     return {"models": listed(left_out)} if left_out else None
 
 
-def _sampling(calibration: ReflectanceCalibration) -> list[Numbers]:
+def _sampling(calibration: ReflectanceCalibration) -> list[str]:
     sampled = {n: p for n, p in calibration.posteriors.items() if p.sampled}
     if sampled:
-        return quoted(f"{name}: {convergence_in_words(p)}" for name, p in sampled.items())
-    return quoted(convergence_in_words(p) for p in list(calibration.posteriors.values())[:1])
+        return [f"{name}: {convergence_in_words(p)}" for name, p in sampled.items()]
+    return [convergence_in_words(p) for p in list(calibration.posteriors.values())[:1]]
 
 
 def _coloured_highlight(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
@@ -384,12 +379,10 @@ def _shadows(calibration: ReflectanceCalibration) -> Numbers | None:
     return {"shares": " / ".join(f"{100 * part:.2g}" for part in glow)}
 
 
-CONTRADICTED = Finding(
-    "contradicted", lambda c: quoted(contradictions(c.observation, gamma=c.gamma)), "{sentence}"
-)
+CONTRADICTED = quoted("contradicted", lambda c: contradictions(c.observation, gamma=c.gamma))
 GIVEN = (
     CONTRADICTED,
-    Finding("assumed", lambda c: quoted(c.observation.findings), "{sentence}"),
+    quoted("assumed", lambda c: c.observation.findings),
     Finding(
         "unused levels",
         lambda c: c.observation.levels is not None,
@@ -402,8 +395,9 @@ NOT_CONVERGED = Finding(
     lambda of: not of[1].converged,
     "The fit did not converge; do not use its numbers.",
 )
-IDENTIFIABLE = Finding(
-    "identifiability", lambda of: quoted(of[1].identifiability.sentences), "{sentence}"
+IDENTIFIABLE = quoted(
+    "identifiability",
+    lambda of: of[1].identifiability.sentences,
 )
 OF_CHANNEL = (
     NOT_CONVERGED,
@@ -492,10 +486,9 @@ OF_ALL = (
         " directions absorb a misfit of the model. The intervals use an error of the directions as"
         " large as the changes; state a larger direction_sd, and compare models.",
     ),
-    Finding(
+    quoted(
         "clear facets",
-        lambda c: quoted([facet_sentence(c.chosen_fits[0].requested.index)] * (c.model in CLEAR)),
-        "{sentence}",
+        lambda c: [facet_sentence(c.chosen_fits[0].requested.index)] * (c.model in CLEAR),
     ),
     Finding(
         "unseen winner",
@@ -514,7 +507,7 @@ OF_ALL = (
         _list_uncompared,
         "Not compared: {models}; --compare-all (compare_all=True in Python) fits these too.",
     ),
-    Finding("sampling", _sampling, "{sentence}"),
+    quoted("sampling", _sampling),
     Finding(
         "colour of one lobe",
         partial(_coloured_highlight, by_all=False),
