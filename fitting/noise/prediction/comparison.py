@@ -37,6 +37,7 @@ from .moments import (
     expected,
     levels_of,
     noise,
+    number_of,
     select_levels,
     touched_by_ends,
 )
@@ -244,11 +245,9 @@ def _predict(
         unit = np.repeat([step, step**2], len(places))
         at = np.concatenate([places, places + values.shape[1]])
         die[np.ix_(at, at)] = own * np.outer(unit, unit)
-    gain = 1.0 if sensor.gain is None else float(sensor.gain)
-    rows, columns, frames = (
-        0.0 if one is None else (step * gain * float(one)) ** 2
-        for one in (sensor.row_noise, sensor.column_noise, sensor.frame_noise)
-    )
+    unit = step * number_of(sensor, "gain", 1.0)
+    shared = ("row_noise", "column_noise", "frame_noise")
+    rows, columns, frames = ((unit * number_of(sensor, field)) ** 2 for field in shared)
     over_light = np.zeros_like(values)
     over_light[:2] = step * by_light, step**2 * slope * by_light
     values = _file_numbers(values, step, origin)
@@ -267,7 +266,7 @@ def _pixel_sampling_covariance(
     """Return the covariance of level means by the sampling of pixels, DN^2."""
     rows, columns = levels.shape or 2 * (levels.pixels**0.5,)
     covariance = np.zeros(2 * found.signal.shape)
-    for name, count, by in (
+    for field, count, by in (
         ("dsnu", levels.pixels, found.step),
         ("row_dsnu", rows, found.step),
         ("column_dsnu", columns, found.step),
@@ -275,9 +274,7 @@ def _pixel_sampling_covariance(
         ("conversion_prnu", levels.pixels, found.signal),
         ("column_prnu", columns, found.signal),
     ):
-        size = getattr(sensor, name)
-        if size is not None:
-            covariance += np.outer(by, by) * float(size) ** 2 / count
+        covariance += np.outer(by, by) * number_of(sensor, field) ** 2 / count
     return covariance
 
 
@@ -298,13 +295,11 @@ def _scale_light(
 ) -> Lit:
     """Fit the scale of the light to the frames' means; return the scaled levels."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
-    signal = (seen[0] - origin) / step - (0.0 if sensor.offset is None else float(sensor.offset))
-    gain, efficiency = (
-        1.0 if one is None else float(one) for one in (sensor.gain, sensor.quantum_efficiency)
-    )
+    signal = (seen[0] - origin) / step - number_of(sensor, "offset")
+    rate = number_of(sensor, "gain", 1.0) * number_of(sensor, "quantum_efficiency", 1.0)
     light = np.asarray(lit.light)
     bright = shown & (light > 0)
-    factor = float(np.median(signal[bright] / (gain * efficiency * light[bright])))
+    factor = float(np.median(signal[bright] / (rate * light[bright])))
     for _ in range(REFINEMENTS):
         now = replace(lit, light=light * max(factor, 1e-300))
         found, *_ = _predict(sensor, every, measurement, now, len(seen) == len(QUANTITIES))

@@ -22,7 +22,19 @@ SHORTEST = 1e-12  # s, of a flash or a bias frame
 DITHERED = 0.6  # codes rms, below which rounding is not an independent error
 REACHED = 6.0  # standard deviations of the pixels' offsets on either side
 FINE = 0.1  # codes between two offsets, over which rounding is averaged
+OFFSETS = ("dsnu", "row_dsnu", "column_dsnu")  # fields of a sensor
 MOST = 1024  # most offsets; for a wider spread they are farther apart
+
+
+def number_of(sensor: Sensor, field: str, absent: float = 0.0) -> float:
+    """Return a number of a sensor, or that of a sensor without this field."""
+    value = getattr(sensor, field)
+    return absent if value is None else float(value)
+
+
+def rms_of(sensor: Sensor, fields: tuple[str, ...]) -> float:
+    """Return the rms of independent deviations that a sensor states, together."""
+    return float(np.hypot.reduce([number_of(sensor, field) for field in fields]))
 
 
 class Lit(eqx.Module):
@@ -220,9 +232,7 @@ def clipped(
     Divided by the number of pixels, it is the sampling covariance of averages over all pixels,
     between sensors with equal mean and spread of the offsets. Codes below `lowest` became
     `lowest`."""
-    every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
-    spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
-    spread *= 1.0 if sensor.gain is None else float(sensor.gain)
+    spread = number_of(sensor, "gain", 1.0) * rms_of(sensor, OFFSETS)
     count = 2 ** int(np.ceil(np.log2(np.clip(2 * REACHED * spread / FINE, 1, MOST))))
     places = np.linspace(-REACHED, REACHED, count + 1) if count > 1 else np.zeros(1)
     weights = np.exp(-(places**2) / 2)

@@ -33,11 +33,12 @@ from ..sensor import bits_of, fitted_sensor
 from ..sites import camera_of_taps, stated_in_words, tap_of, tap_sensor
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
+from .moments import OFFSETS, number_of, rms_of
 
 DRAWS = 200  # draws of a camera file that are used for its uncertainty
 LEAST = 3  # levels, beyond the number of a curve's terms, that half of the levels must have
 NOISES = ("read_noise", "shot_noise")  # fields needed to predict variances
-OFFSETS, GAINS = ("dsnu", "row_dsnu", "column_dsnu"), ("prnu", "conversion_prnu", "column_prnu")
+GAINS = ("prnu", "conversion_prnu", "column_prnu")
 CORRECTED = {"offsets": "after a dark frame was subtracted", "gains": "after a division by a flat"}
 OF_ALL_PIXELS = "An effect that is named below is a mean over all of these pixels, not of any one."
 OTHER_CAUSES = {"offsets": " or a warmer one", "gains": ", or the light is not smooth"}
@@ -163,7 +164,7 @@ def predict(
     unstated = [field for field in NOISES if getattr(camera, field) is None]
     dithered = camera
     if camera.read_noise is None:  # the effect of rounding on means depends on it
-        step = (measurement.converter.step or 1.0) * (1.0 if camera.gain is None else camera.gain)
+        step = (measurement.converter.step or 1.0) * number_of(camera, "gain", 1.0)
         read = np.sqrt(np.asarray(measurement.dark.variance).mean()) / step
         dithered = replace(camera, read_noise=read)
         if draws is not None:
@@ -232,8 +233,8 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
     """Return a sentence if dark signal or black level contradict the camera's; else ""."""
     dark, converter = measurement.dark, measurement.converter
-    step, gain = converter.step or 1.0, 1.0 if camera.gain is None else float(camera.gain)
-    black = converter.origin + step * (0.0 if camera.offset is None else float(camera.offset))
+    step, gain = converter.step or 1.0, number_of(camera, "gain", 1.0)
+    black = converter.origin + step * number_of(camera, "offset")
     longest = int(np.argmax(np.asarray(dark.exposure)))
     time, mean = float(dark.exposure[longest]), float(dark.mean[longest])
     noise = float(np.sqrt(dark.variance[longest]))
@@ -263,7 +264,7 @@ def _pattern_in_words(
         return []
     found, local = fitted_pattern(measurement, usable), local_pattern(measurement, usable)
     noise, sentences = np.sqrt(np.asarray(dark.variance)), []
-    gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
+    gain = number_of(camera, "gain", 1.0) * (measurement.converter.step or 1)
     kinds = (
         ("offsets", OFFSETS, found.dark, 1 / gain, " e⁻", LEAST_OFFSETS * float(noise.min())),
         ("gains", GAINS, found.response, 100.0, " %", LEAST_GAINS),
@@ -272,7 +273,7 @@ def _pattern_in_words(
         what, fields, seen, scale, unit, least = kind
         if fields is OFFSETS and np.any(dark.mean - measurement.converter.lowest < CLEAR * noise):
             continue  # clipped black hides a part of the offsets
-        stated = _rms_of(camera, fields) * (1.0 if unit == " e⁻" else scale)
+        stated = rms_of(camera, fields) * (1.0 if unit == " e⁻" else scale)
         says = f"where the camera states {f'{stated:.2g}{unit}' if stated else 'none'}"
         most = scale * (max(seen.variance, 0.0) + PATTERN_SIGMAS * seen.noise) ** 0.5
         at_least = scale * max(own.variance - PATTERN_SIGMAS * own.noise, 0.0) ** 0.5
@@ -296,14 +297,9 @@ def _structure_in_words(
     """Return sentences on taps, halves or a mosaic of frames that are predicted as one channel."""
     if measurement.site is not None:
         return []
-    gain = (1.0 if camera.gain is None else float(camera.gain)) * (measurement.converter.step or 1)
+    gain = number_of(camera, "gain", 1.0) * (measurement.converter.step or 1)
     sentences = periodic_in_words(periodic_structure(measurement, usable), gain, fitted=False)
     return [*sentences, *(OF_ALL_PIXELS,) * bool(sentences)]
-
-
-def _rms_of(camera: Sensor, names: tuple[str, ...]) -> float:
-    stated = (getattr(camera, name) for name in names)
-    return float(np.sqrt(sum(float(x) ** 2 for x in stated if x is not None)))
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
