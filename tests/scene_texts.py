@@ -1,4 +1,4 @@
-"""Files of scenes and meshes that several tests read, as text."""
+"""Texts of scene files and meshes that several tests read."""
 
 BALL = """
 [camera]

@@ -1,4 +1,4 @@
-"""Gamma: unbiased, with intervals that hold the truth, shutter errors included."""
+"""Tests estimates of gamma: unbiased, with intervals that cover, also with shutter errors."""
 
 import jax
 import numpy as np
@@ -24,16 +24,16 @@ def fitted(response, times, seed, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("truth", [1.0, 1.8, 2.2])
 def test_gamma_is_unbiased_by_noise_and_rounding(truth):
-    """A log regression of these stacks is off by 0.5 % and more."""
+    """A log regression of these stacks has an error of at least 0.5 %."""
     found = [fitted(gamma(truth), TIMES, seed).gamma.value for seed in range(4)]
     assert np.mean(found) == pytest.approx(truth, rel=1.5e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("exposures", "error"), [(9, 0.02), (5, 0.02), (5, 0.05), (9, 0.1)])
-def test_intervals_hold_the_truth_when_shutters_err(exposures, error):
-    """32 stacks: 95 % intervals hold at least 26 times (probability .999 for honest ones) and are
-    no wider than they need be, where the free curve bounds what they believe of shutters too."""
+def test_intervals_cover_with_shutter_errors(exposures, error):
+    """For 32 stacks, 95 % intervals cover at least 26 times (with probability .999 if calibrated).
+    They are not wider than needed, because the free curve limits shutter errors."""
     hits, widths, errors = 0, [], []
     for seed in range(32):
         times = TIMES[:exposures]
@@ -55,7 +55,7 @@ def test_three_exposures_need_wider_intervals_than_nine():
 
 
 @pytest.mark.slow
-def test_sampling_agrees_with_the_exact_integral():
+def test_sampling_equals_the_exact_integral():
     exact = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=0.02).gamma
     options = Emcee(walkers=32, steps=6000, block=500)
     sampled = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=0.02, sampling=options)
@@ -66,7 +66,7 @@ def test_sampling_agrees_with_the_exact_integral():
 
 
 @pytest.mark.parametrize("shutter_error", [0.0, 0.02])
-def test_draws_have_the_intervals_that_are_printed(shutter_error):
+def test_draws_have_the_printed_intervals(shutter_error):
     found = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=shutter_error)
     for estimate, draws in zip(
         (found.gamma, found.shutter_error), found.posterior.samples.T, strict=True
@@ -85,9 +85,9 @@ def test_srgb_is_recognised():
     assert np.nanmax(np.abs(found.departure[central])) > 0.05
 
 
-def test_what_is_known_of_black_and_shutter_widens():
-    """Gamma is the slope of ln X over ln(code - black), and an exponent common to all shutter times
-    moves it by sd / sqrt(sum (ln t - mean)^2)."""
+def test_stated_errors_of_black_and_shutter_widen():
+    """Gamma is the slope of ln X over ln(code - black). An exponent common to all shutter times has
+    the error sd / sqrt(sum (ln t - mean)^2)."""
     _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=4000)
     curve = fit_response_curve(codes, TIMES, bits=8)
     plain = fit_gamma(curve).gamma
@@ -99,9 +99,10 @@ def test_what_is_known_of_black_and_shutter_widens():
     assert of_shutter.standard_error == pytest.approx(expected, rel=0.1)
 
 
-def test_two_exposures_rest_on_what_is_stated_however_little():
-    """Nothing shows of two shutters: 1e-4, which no pixel tells and the fit does without, makes an
-    interval narrower than 1e-3 does, not that of the prior on cameras."""
+def test_two_exposures_use_the_stated_shutter_error():
+    """Two shutters do not reveal their errors. A stated error of 1e-4, which pixels cannot detect
+    and the fit neglects, gives a narrower interval than 1e-3 does, and not that of the prior on
+    cameras."""
     times = np.array([0.25, 1.0])
     _, codes = exposure_stack(gamma(2.2), times, np.random.default_rng(4), pixels=4000)
     curve = fit_response_curve(codes, times, bits=8)
@@ -114,9 +115,9 @@ def test_two_exposures_rest_on_what_is_stated_however_little():
     assert widths[2] == pytest.approx(2 * 1.96 * 2.2 * 5e-3 / np.log(4) * np.sqrt(2), rel=0.2)
 
 
-def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
-    """Bounds against the least-squares energy of all pixels, whose irradiances are the best for
-    each shift: the law moves by what the shift adds to the misfit of codes without noise."""
+def test_undetectable_errors_of_black_and_shutter_are_left_out():
+    """The bound is compared with the least-squares energy of all pixels, with the best irradiances
+    for each shift: the change of gamma is the effect of the shift on the misfit without noise."""
     _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=4000)
     curve = fit_response_curve(codes, TIMES, bits=8)
     known = fit_gamma(curve, black_sd=1e-4, exposure_sd=1e-6)
@@ -127,7 +128,7 @@ def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
     assert known.gamma.interval_95 == plain.gamma.interval_95
     bounds = {own.name: own.bound for own in known.left_out}
     assert 0 < sum(bounds.values()) <= TOLERANCE
-    # pixel by pixel: weights are one over the variance of ln X, irradiances are weighted means
+    # pixel by pixel: weights are the inverse variance of ln X, and irradiances are weighted means
     bin_of = curve.bins.lookup[codes]
     code = np.maximum(codes.astype(float), 1)
     variance = curve.pixel_noise[bin_of] ** 2 + (2.2 / code) ** 2 / 12
@@ -145,8 +146,8 @@ def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
     assert bounds["exposure_sd"] == pytest.approx(expected, rel=0.25)
 
 
-def test_what_is_left_out_of_black_and_shutter_is_not_traced(monkeypatch):
-    """The density that is maximised, with errors that no pixel tells, is that without them."""
+def test_errors_that_are_left_out_are_not_traced(monkeypatch):
+    """With undetectable errors the maximised density is the program without errors."""
     _, codes = exposure_stack(gamma(2.2), TIMES, np.random.default_rng(4), pixels=400)
     curve, laplace, programs = fit_response_curve(codes, TIMES, bits=8), gamma_module.laplace, []
 

@@ -1,4 +1,4 @@
-"""What the numbers of frames say of the converter, against grids that were laid under them."""
+"""Tests what the numbers in frames reveal about the converter, with simulated grids."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ FRAMES = [np.round(level) for level in LEVELS]  # 12 bits
 
 
 def folded(values: np.ndarray) -> np.ndarray:
-    """Codes of steps 1.2 and .8 DN in turn: odd ones reach .1 DN into their neighbours."""
+    """Return codes with steps of 1.2 and .8 DN in turn: odd ones extend .1 DN into their
+    neighbours."""
     nearest = np.round(values)
     take = (nearest % 2 == 0) & (np.abs(values - nearest) > 0.4)
     return np.where(take, nearest + np.sign(values - nearest), nearest)
@@ -59,7 +60,7 @@ def test_unequal_steps_are_found():
 
 
 @pytest.mark.parametrize("scale", [1, 16, 1 / 16])
-def test_a_pile_at_the_largest_number_is_where_it_clips(scale):
+def test_an_accumulation_at_the_largest_number_is_clipping(scale):
     bright = np.minimum(np.round(RNG.normal(4080, 64, (60, 80))), 4095)
     assert converter_of([scale * frame for frame in [*FRAMES, bright]]).clips_at == scale * 4095
     assert converter_of([scale * frame for frame in FRAMES]).clips_at is None
@@ -67,21 +68,22 @@ def test_a_pile_at_the_largest_number_is_where_it_clips(scale):
 
 @pytest.mark.parametrize("most", [2**18, 1000])
 def test_numbers_on_no_grid_may_be_clipped_too(monkeypatch, most):
-    """As of frames that were averaged, or from which a dark was subtracted."""
+    """The frames were averaged, or had a dark subtracted."""
     monkeypatch.setattr("fitting.codes.MOST_VALUES", most)
     smooth = [np.minimum(RNG.normal(80, 16, (60, 80)), 110) for _ in range(3)]
     assert converter_of(smooth) == Converter(0.0, clips_at=110)
     assert converter_of([RNG.normal(80, 16, (60, 80))]) == Converter(0.0)
 
 
-def test_few_numbers_say_nothing():
+def test_few_numbers_are_uninformative():
     assert converter_of([np.array([[64.0, 80.0]])]) == Converter()
     quiet = [np.round(RNG.normal(64.4, 0.2, (60, 80))) for _ in range(4)]
     assert converter_of(quiet) == Converter()
 
 
 def clean_camera(rng: np.random.Generator) -> list[np.ndarray]:
-    """Flats and darks of any size, gain, light, black level and depth, some of them clipped."""
+    """Return flats and darks of random size, gain, light, black level and bit depth, some of them
+    clipped."""
     size, bits = rng.choice([32, 64, 100]), rng.choice([8, 10, 12, 14])
     full, count = 2.0**bits - 1, rng.choice([6, 10, 14, 25])
     top = rng.choice([0.02, 0.1, 0.6, 0.95, 1.2]) * full
@@ -107,7 +109,7 @@ def clean_camera(rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def patches(rng: np.random.Generator) -> list[np.ndarray]:
-    """A stack of one scene of few tones and little noise."""
+    """Return a stack of one scene with few tones and little noise."""
     light = np.kron(np.exp(0.5 * rng.standard_normal((6, 8))), np.ones((10, 10)))
     light = light * np.geomspace(1, 300, 80)
     noise = rng.normal(0, rng.choice([0.3, 1, 2]), (5, 60, 80))
@@ -123,7 +125,7 @@ def without_alarm(frames: list[np.ndarray], full: tuple[float, ...]) -> bool:
 
 @pytest.mark.parametrize("kind", [clean_camera, patches])
 @pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.slow)])
-def test_a_clean_camera_raises_no_alarm(kind, count):
+def test_a_good_camera_causes_no_false_alarm(kind, count):
     rng = np.random.default_rng(count)
     ends = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14))
     assert sum(not without_alarm(kind(rng), ends) for _ in range(count)) == 0
@@ -152,7 +154,7 @@ def test_codes_that_a_table_leaves_out_are_missed(changed, missing, size):
 
 @pytest.mark.parametrize("cut", [-2.0, -1.0, 0.0, 0.5])
 @pytest.mark.parametrize("step", [1, 16])
-def test_a_pile_at_the_smallest_number_of_darks_is_where_black_was_clipped(cut, step):
+def test_an_accumulation_at_the_smallest_number_of_darks_is_clipped_black(cut, step):
     rng, codes = np.random.default_rng(0), Codes()
     lowest = np.round(64 + 2 * cut)
     for _ in range(8):
@@ -160,8 +162,9 @@ def test_a_pile_at_the_smallest_number_of_darks_is_where_black_was_clipped(cut, 
     assert codes.clips_below() == step * lowest
 
 
-def test_black_that_is_not_clipped_has_no_pile_at_its_smallest_number():
-    """Quiet or loud, with unequal, hot and cold pixels, few electrons and noise of rows."""
+def test_unclipped_black_has_no_accumulation_at_its_smallest_number():
+    """The darks have low or high noise, with unequal, hot and cold pixels, few electrons and row
+    noise."""
     rng = np.random.default_rng(0)
     for i in range(60):
         noise, codes = 10 ** rng.uniform(-1.2, 1.5), Codes()

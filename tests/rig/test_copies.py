@@ -1,4 +1,4 @@
-"""Copies of an image are named; images that may be equal are not."""
+"""Tests that copies of an image are named, and images that may be equal are not."""
 
 import re
 
@@ -13,7 +13,7 @@ from jaxvision.errors import InputError
 
 
 def flats(levels=(200, 900, 1600, 1900, 2200, 2900, 5000)):
-    """Two frames a level, photons, and darks, of 12 bits and 1 DN an electron."""
+    """Return two 12-bit frames for each level of photons, and darks, with 1 DN per electron."""
     rng = np.random.default_rng(0)
     lit = [np.clip(64 + rng.poisson(level, (2, 24, 24)), 0, 4095) for level in levels]
     return lit, [np.round(rng.normal(64, 2, (2, 24, 24)))], levels
@@ -27,7 +27,7 @@ def photon_transfer(lit, dark, levels):
 
 def test_a_copied_flat_is_left_out_by_name_and_saturated_ones_are_not():
     lit, dark, levels = flats()
-    assert np.ptp(lit[-1]) == 0  # saturated: equal frames, which are read
+    assert np.ptp(lit[-1]) == 0  # saturated frames are equal and accepted
     assert photon_transfer(lit, dark, levels).bright.left_out == ()
     lit[2][1] = lit[2][0]
     left_out = photon_transfer(lit, dark, levels).bright.left_out
@@ -42,7 +42,7 @@ def test_a_flat_that_is_in_another_level_too_is_left_out_by_name():
     both = "flats[3][1] and flats[4][0] are equal in every pixel"
     assert bright.left_out[0].startswith(f"flats[3][1] was left out: {both}, so at most one")
     assert bright.left_out[1].startswith(f"flats[4][0] was left out: {both}, so at most one")
-    assert len(bright.left_out) == 4  # with their fellows
+    assert len(bright.left_out) == 4  # with the others of their levels
     assert list(bright.light) == [200, 500, 900, 1900, 2200, 2900, 5000]
 
 
@@ -69,7 +69,7 @@ def test_a_copied_exposure_is_left_out_by_name():
         from_stack([stack[0], stack[1], stack[1]], times[:3], camera=camera)
 
 
-def test_white_frames_with_dead_pixels_say_nothing():
+def test_white_frames_with_dead_pixels_are_not_called_copies():
     rng, copies = np.random.default_rng(0), Copies()
     white = np.full((40, 40), 255.0)
     white[3, 4], white[7, 2] = 0, 31
@@ -82,7 +82,7 @@ def test_white_frames_with_dead_pixels_say_nothing():
 
 
 def test_one_set_of_darks_under_all_exposures_gives_no_dark_current():
-    """A dark current of 40 e-/s was 0.00 +- 0.60."""
+    """Earlier, a dark current of 40 e-/s was estimated as 0.00 +- 0.60."""
     rng = np.random.default_rng(0)
     levels, times = np.linspace(200, 3000, 7), np.linspace(0.1, 0.7, 7)
 

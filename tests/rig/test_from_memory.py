@@ -1,4 +1,5 @@
-"""Arrays in memory give the measurement and the estimates of the same images in files."""
+"""Tests that arrays in memory give the measurement and the estimates of the same images in
+files."""
 
 from dataclasses import fields
 
@@ -25,7 +26,7 @@ PHOTONS = [0.0, 500.0, 1000.0, 2000.0, 4000.0, 6000.0]
 
 
 def assert_equal(one, other):
-    """Records equal to the last bit but for what only says where an image lies."""
+    """Check that two records are equal bit by bit, except for the names of images."""
     for field in fields(one):
         if field.name != "files":
             ours, theirs = (jax.tree.leaves(getattr(x, field.name)) for x in (one, other))
@@ -65,7 +66,7 @@ def test_frames_of_photon_transfer(tmp_path):
     assert_equal(ours, theirs)
 
 
-def test_what_does_not_fit_together_is_said_in_one_sentence():
+def test_mismatched_arrays_are_refused_in_one_sentence():
     flats = [levels(0.5 * p, i) for i, p in enumerate(PHOTONS)]
     times = [0.01] * len(flats)
     with pytest.raises(InputError, match=r"5 exposures for 6 levels of flats; give one for each\."):
@@ -87,7 +88,7 @@ def test_what_does_not_fit_together_is_said_in_one_sentence():
         from_photographs([np.ones((9, 9))], np.array([[0.0, 0.0, 1.0]]), camera=CAMERA)
 
 
-def test_one_image_in_place_of_a_list_is_said():
+def test_one_image_instead_of_a_list_is_named():
     flats = [levels(0.5 * p, i) for i, p in enumerate(PHOTONS)]
     times, singles = [0.01] * len(flats), [frames[0] for frames in flats]
     one = r"flats\[0\] is one frame, \(20, 30\), .* give of each level a list of two or more"
@@ -105,7 +106,7 @@ def test_one_image_in_place_of_a_list_is_said():
         from_photographs(singles[0], LIGHTS, camera=CAMERA, sphere=SPHERE)
 
 
-def test_what_is_no_measurement_is_no_calibration():
+def test_other_objects_are_refused_as_measurements():
     for calibrate, named in (
         (calibrate_noise, "noise.calibrate: measurement must be a PhotonTransfer, got dict; from_"),
         (calibrate_response, "response.calibrate: stack must be an ExposureStack, got dict"),
@@ -161,7 +162,7 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
     for i, light in enumerate(LIGHTS):
         text += f'[[light]]\nfile = "l{i}.tif"\n{kind} = {(scale * light).tolist()}\n'
         text += f"intensity = [{1 + i / 10}]\nheld_out = {str(i == 2).lower()}\n"
-        if i != 1:  # whose exposure is exact
+        if i != 1:  # its exposure is exact
             text += "exposure_sd = 0.005\n"
         text += "intensity_sd = 0.01\ndirection_sd = 0.02\nstray_sd = 0.001\n"
     files = {f"l{i}": image for i, image in enumerate(images)}
@@ -207,8 +208,8 @@ def test_unusable_errors_of_lights_are_refused(given, said):
         from_photographs(images, LIGHTS, camera=CAMERA, sphere=SPHERE, **given)
 
 
-def test_nan_under_the_mask_does_no_harm():
-    """Pixels that the mask leaves out may hold anything; one that it keeps may not."""
+def test_nan_outside_the_mask_is_accepted():
+    """Pixels outside the mask may have any value, and those inside must be numbers."""
     normals = normals_of_the_sphere()
     images = [64 + 2000.0 * np.maximum(normals @ v, 0) for v in LIGHTS]
     mask = normals[..., 2] > 0.5
@@ -227,7 +228,7 @@ def loaded(rig, names):
 
 
 @pytest.mark.slow
-def test_the_noise_is_that_of_the_files(lab):
+def test_the_noise_calibration_equals_that_of_files(lab):
     rig = load_rig(lab[0] / "noise")
     ours = from_frames(
         [loaded(rig, flat.files) for flat in rig.flat],
@@ -242,7 +243,7 @@ def test_the_noise_is_that_of_the_files(lab):
 
 
 @pytest.mark.slow
-def test_the_response_is_that_of_the_files(lab):
+def test_the_response_equals_that_of_files(lab):
     rig = load_rig(lab[0] / "response")
     images = loaded(rig, [entry.file for entry in rig.exposure])
     ours = from_stack(images, [entry.exposure for entry in rig.exposure], camera=rig.camera)
@@ -253,7 +254,7 @@ def test_the_response_is_that_of_the_files(lab):
 
 
 @pytest.mark.slow
-def test_the_reflectance_is_that_of_the_files(lab):
+def test_the_reflectance_equals_that_of_files(lab):
     rig = load_rig(lab[0] / "brdf")
     ours = from_photographs(
         loaded(rig, [light.file for light in rig.light]),
@@ -273,8 +274,8 @@ def test_the_reflectance_is_that_of_the_files(lab):
 
 
 @pytest.mark.slow
-def test_calibrations_find_their_optimum_where_jax_computes_in_single_precision():
-    """All digits are there, whatever the script has set: as the commands compute."""
+def test_calibrations_compute_in_float64_if_jax_uses_float32():
+    """The fits run in float64 whatever the script has set, as in the commands."""
     with jax.enable_x64(False):
         sensor = jv.Sensor(
             quantum_efficiency=0.5,

@@ -1,4 +1,4 @@
-"""Rig files: what is right is read, what is wrong is named with its entry."""
+"""Tests rig files: valid ones are read, and errors name their entry."""
 
 import equinox as eqx
 import jax
@@ -38,8 +38,8 @@ sphere = { centre = [10.0, 11.0], radius = 5.0 }
 """
 
 
-def test_a_sensor_of_a_mosaic_states_the_numbers_of_each_site(tmp_path):
-    """By the names of its taps; a rig of another layout is refused."""
+def test_a_sensor_of_a_mosaic_gives_the_numbers_of_each_site(tmp_path):
+    """Sites have the names of the taps. A rig with another layout is refused."""
     stated = {"pattern": "RGGB", "taps": "left and right"}
     names = Camera(bits=12, **stated).sites
     taps = jv.Taps(
@@ -65,8 +65,8 @@ def test_a_sensor_of_a_mosaic_states_the_numbers_of_each_site(tmp_path):
         load_rig(tmp_path)
 
 
-def test_a_sensor_file_states_what_the_rig_leaves_out(tmp_path):
-    """Temporal noise of a pixel is that of pixels, rows and frames together."""
+def test_a_sensor_file_gives_values_that_the_rig_lacks(tmp_path):
+    """The temporal noise of a pixel includes noise of pixels, rows and frames."""
     rng = np.random.default_rng(0)
     best = jv.Sensor(gain=0.5, read_noise=4.0, row_noise=3.0, offset=64.0, prnu=0.01)
     draws = jax.tree.map(lambda x: np.full(300, x), best)
@@ -153,11 +153,11 @@ def test_mistakes_are_named_with_their_entry(tmp_path, old, new, expected):
 @pytest.mark.parametrize(
     ("stated", "exponent"), [({}, None), ({"gamma": 1}, None), ({"gamma": 1, "gamma_sd": 0.1}, 1)]
 )
-def test_files_are_linear_where_nothing_else_is_possible(stated, exponent):
+def test_files_are_linear_if_nothing_else_is_possible(stated, exponent):
     assert Camera(bits=12, **stated).encoding == exponent
 
 
-def test_a_direction_off_by_rounding_is_accepted(tmp_path):
+def test_a_direction_with_rounding_errors_is_accepted(tmp_path):
     load_rig(write_rig(tmp_path, GOOD.replace("0.8]", "0.80005]")))
 
 
@@ -266,7 +266,7 @@ def test_the_sites_of_a_cell_are_named_in_reading_order(camera, names):
     assert Camera(bits=12, **camera).sites == names
 
 
-def test_numbers_by_site_are_had_by_name(tmp_path):
+def test_numbers_by_site_can_be_read_by_name(tmp_path):
     stated = "bits = 14\npattern = 'RGGB'\nblack_level = [480, 512, 513, 560]\ngain = 0.5"
     (tmp_path / "rig.toml").write_text(f"[camera]\n{stated}")
     camera = load_rig(tmp_path).camera
@@ -309,7 +309,7 @@ def test_numbers_by_site_fit_the_cell(tmp_path, camera, expected):
         load_rig(write_rig(tmp_path, f"[camera]\nbits = 12\n{text}"))
 
 
-def test_a_grey_image_has_no_numbers_by_colour(tmp_path):
+def test_a_grey_image_cannot_have_numbers_by_colour(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((4, 4)))
     with pytest.raises(InputError, match=r"is grey, but camera\.gain lists 3 numbers, as for RGB"):
         read_frame(tmp_path / "a.npy", Camera(bits=12, gain=[1, 2, 3]))
@@ -343,8 +343,8 @@ def test_one_intensity_needs_no_list(tmp_path):
     assert rig.light[0].intensity == (1.5776,)
 
 
-def test_pixels_of_several_blacks_are_fitted_with_their_mean():
-    """The least room to saturation counts for all."""
+def test_pixels_of_several_black_levels_are_shifted_to_their_mean():
+    """The smallest range up to saturation is used for all."""
     camera = Camera(bits=12, black_level=[60, 70, 80], saturation=[4000, 4050, 4095], gain=0.5)
     alike = equalised_camera(camera)
     assert (alike.black_level, alike.saturation, alike.gain) == (70, 4000 - 60 + 70, 0.5)
@@ -352,7 +352,7 @@ def test_pixels_of_several_blacks_are_fitted_with_their_mean():
         equalised_camera(Camera(bits=12, gain=[0.5, 0.6, 0.5]))
 
 
-def test_pixels_of_several_gains_are_levelled_to_their_mean():
+def test_pixels_of_several_gains_are_scaled_to_their_mean():
     camera = Camera(bits=12, taps=(1, 2), black_level=[60, 70], gain=[0.5, 0.6], read_noise=[3, 4])
     electrons = np.array([[1000.0, 1000, 2000, 2000]])
     image = np.array([60.0, 70, 60, 70]) + np.array([0.5, 0.6, 0.5, 0.6]) * electrons
@@ -361,7 +361,7 @@ def test_pixels_of_several_gains_are_levelled_to_their_mean():
     np.testing.assert_allclose(
         [alike.gain, alike.read_noise, alike.black_level], [0.55, np.sqrt(12.5), 65]
     )
-    # The second amplifier clips at 4095 - 70 DN of its own gain.
+    # The second amplifier saturates at 4095 - 70 DN of its own gain.
     np.testing.assert_allclose(alike.saturation, 65 + 4025 * 0.55 / 0.6)
     with pytest.raises(InputError, match=r"camera\.gain lists several numbers, but the files"):
         equalised_camera(Camera(bits=12, taps=(1, 2), gain=[0.5, 0.6], gamma=2.2))

@@ -1,4 +1,5 @@
-"""`jaxvision-fit init`: rigs from names and heads of files, and what they do not tell."""
+"""Tests `jaxvision-fit init`: rigs from names and headers of files, and the values that these
+lack."""
 
 import datetime
 import logging
@@ -55,7 +56,7 @@ def test_exif_makes_an_exposure_stack(tmp_path):
         ({0x829A: 0.5, 0x9201: 6.0, 0x829D: 0.0, 0x9202: 4.0}, 0.5, None),
     ],
 )
-def test_apex_values_count_where_they_stand_alone(tags, exposure, f_number, tmp_path):
+def test_apex_values_are_used_if_alone(tags, exposure, f_number, tmp_path):
     head = Image.Exif()
     head[0x8769] = {tag: IFDRational(int(10 * value), 10) for tag, value in tags.items()}
     Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=head)
@@ -63,8 +64,8 @@ def test_apex_values_count_where_they_stand_alone(tags, exposure, f_number, tmp_
     assert (found.exposure, found.f_number) == (exposure, f_number)
 
 
-def test_verbose_says_what_is_compiled_in_a_line_a_program(capfd):
-    """And nothing else of what JAX logs."""
+def test_verbose_prints_one_line_per_compiled_program(capfd):
+    """Nothing else of JAX's log is printed."""
     loggers = [logging.getLogger(name) for name in ("jaxvision", "jax")]
     before = [(one.level, one.propagate, [*one.handlers]) for one in loggers]
     try:
@@ -77,7 +78,7 @@ def test_verbose_says_what_is_compiled_in_a_line_a_program(capfd):
     assert re.fullmatch(r" *[\d.]+ s  Finished XLA compilation of jit\(<lambda>\) in .* sec", line)
 
 
-def test_verbose_says_what_is_read_and_version_what_it_runs_with(tmp_path):
+def test_verbose_prints_what_is_read_and_version_its_packages(tmp_path):
     photograph(tmp_path / "a.jpg", seconds=0.5)
     loggers = [logging.getLogger(name) for name in ("jaxvision", "jax")]
     before = [(one.level, one.propagate, [*one.handlers]) for one in loggers]
@@ -98,7 +99,7 @@ def test_verbose_says_what_is_read_and_version_what_it_runs_with(tmp_path):
     assert "Missing command" in stderr
 
 
-def test_names_make_levels_of_flats_and_darks(tmp_path):
+def test_names_give_levels_of_flats_and_darks(tmp_path):
     for kind in ("flat", "dark"):
         for ms in (2, 10, 250):
             for frame in range(2):
@@ -117,7 +118,7 @@ def test_names_make_levels_of_flats_and_darks(tmp_path):
     ]
 
 
-def test_flats_and_darks_of_several_gains_are_entries_of_their_own(tmp_path):
+def test_flats_and_darks_of_several_gains_have_separate_entries(tmp_path):
     for kind in ("flat", "dark"):
         for iso in (100, 400):
             for frame in range(2):
@@ -135,8 +136,8 @@ def test_flats_and_darks_of_several_gains_are_entries_of_their_own(tmp_path):
 
 @pytest.mark.parametrize("kind", ["images", "flats"])
 @pytest.mark.parametrize("seconds", [(0.1, 0.1, 0.1), (0.1, 0.2, 0.4)])
-def test_apertures_that_differ_are_said(kind, seconds, tmp_path):
-    """The times tell nothing of the light then."""
+def test_different_apertures_are_named(kind, seconds, tmp_path):
+    """The exposure times then do not determine the light."""
     for i, (time, number) in enumerate(zip(seconds, (2.8, 11, 8), strict=True)):
         photograph(tmp_path / f"{kind[:-1]}{i}.jpg", seconds=time, f_number=number)
     said = f"The {kind} differ in aperture (f/2.8, f/8, f/11); keep those of one aperture."
@@ -147,7 +148,7 @@ def test_apertures_that_differ_are_said(kind, seconds, tmp_path):
     assert not any("aperture" in sentence for sentence in rig_of(tmp_path).missing)
 
 
-def test_temperatures_that_lie_apart_are_settings():
+def test_different_temperatures_are_settings():
     def image(name, kelvin):
         return _Image(name, ImageSettings(temperature=kelvin), 1.0)
 
@@ -156,7 +157,7 @@ def test_temperatures_that_lie_apart_are_settings():
     assert _warmth(images[:4]) == {}
 
 
-def test_headers_tell_flats_and_darks(tmp_path):
+def test_headers_distinguish_flats_and_darks(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
 
     def write(name, said):
@@ -184,7 +185,7 @@ def test_headers_tell_flats_and_darks(tmp_path):
     )
 
 
-def test_what_is_not_known_stands_as_comments(tmp_path):
+def test_unknown_values_are_written_as_comments(tmp_path):
     (tmp_path / "lamps").mkdir()
     for i in range(3):
         write_image(tmp_path / "lamps" / f"{i}.png", np.full((4, 4), 7, np.uint8))
@@ -220,15 +221,15 @@ def test_what_is_not_known_stands_as_comments(tmp_path):
         ("frames3", None),
     ],
 )
-def test_times_in_names(name, seconds, tmp_path):
+def test_exposure_times_are_read_from_names(name, seconds, tmp_path):
     write_image(tmp_path / f"{name}.png", np.full((4, 4), 7, np.uint8))
     found = tomllib.loads(rig_of(tmp_path).text)
     entry = {**found}.get("flat", found.get("exposure"))[0]
     assert entry.get("exposure") == (None if seconds is None else pytest.approx(seconds))
 
 
-def test_a_number_before_the_time_counts_images_or_is_a_fraction(tmp_path):
-    """1_5s may be either: the other names tell, or a sentence does."""
+def test_a_number_before_the_time_is_a_counter_or_a_fraction(tmp_path):
+    """1_5s may be either. The other names decide, or a sentence asks."""
     for name in ("flat_1_5s", "flat_2_10s"):
         write_image(tmp_path / f"{name}.png", np.full((4, 4), 7, np.uint8))
     found = rig_of(tmp_path)
@@ -240,8 +241,8 @@ def test_a_number_before_the_time_counts_images_or_is_a_fraction(tmp_path):
     assert any("read as 1/5 s; correct it if that is 5 s." in said for said in found.missing)
 
 
-def test_a_merged_map_is_no_exposure(tmp_path):
-    """Its numbers, to 274, would count as those of the camera."""
+def test_a_merged_map_is_not_an_exposure(tmp_path):
+    """Its numbers, up to 274, would be taken for the camera's."""
     for i, seconds in enumerate((0.5, 1.0)):
         photograph(tmp_path / f"view{i}.jpg", seconds=seconds)
     write_image(tmp_path / "merged.hdr", np.full((6, 8, 3), 274.0, np.float32))
@@ -276,7 +277,7 @@ def test_wavelengths_in_names_separate_stacks(tmp_path):
     assert "group" not in rig_of(tmp_path).text
 
 
-def test_darks_alone_say_what_is_missing(tmp_path):
+def test_darks_alone_are_named_as_incomplete(tmp_path):
     for frame in range(2):
         write_image(tmp_path / f"dark_25ms_{frame}.png", np.full((4, 4), 7, np.uint8))
     status, stdout, _ = run("init", tmp_path)
@@ -285,7 +286,7 @@ def test_darks_alone_say_what_is_missing(tmp_path):
     assert "Then" not in stdout
 
 
-def test_a_fraction_of_a_second_is_written_as_one(tmp_path):
+def test_a_fraction_of_a_second_is_written_as_a_fraction(tmp_path):
     for name, seconds in (("a", 1 / 30), ("b", 1 / 125), ("c", 0.3), ("d", 2.0)):
         photograph(tmp_path / f"{name}.jpg", seconds=seconds)
     for name in ("e_1-60s", "f_8ms"):
@@ -296,20 +297,20 @@ def test_a_fraction_of_a_second_is_written_as_one(tmp_path):
     assert load_rig(path).exposure[0].exposure == 1 / 30
 
 
-def test_names_are_quoted_as_toml_wants_them(tmp_path):
+def test_names_are_quoted_for_toml(tmp_path):
     name = 'a "b" c\\d\x7f.png'
     write_image(tmp_path / name, np.full((4, 4), 7, np.uint8))
     assert tomllib.loads(rig_of(tmp_path).text)["exposure"][0]["file"] == name
 
 
-def test_folders_that_hold_nothing(tmp_path):
+def test_folders_without_images(tmp_path):
     with pytest.raises(InputError, match="holds no images"):
         write_rig(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         write_rig(tmp_path / "none")
 
 
-def test_names_and_cameras_that_are_no_text(tmp_path):
+def test_names_and_cameras_that_are_not_text(tmp_path):
     head = Image.Exif()
     head[0x010F] = b"Ma\xcfker\x01"
     Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=head)
@@ -321,8 +322,8 @@ def test_names_and_cameras_that_are_no_text(tmp_path):
         write_rig(tmp_path)
 
 
-def test_kinds_written_in_one_word_count(tmp_path):
-    """As programs of astronomers name them; a dark of flats is a dark."""
+def test_types_written_in_one_word_are_recognised(tmp_path):
+    """These are names used by astronomy programs. A dark of flats is a dark."""
     kinds = {"DarkFlat": "dark", "FLATDARK": "dark", "DarkFrame": "dark", "BiasFrame": "dark"}
     kinds |= {"FlatField": "flat", "flatframe": "flat", "darkness": "exposure"}
     for name, kind in kinds.items():
@@ -334,8 +335,8 @@ def test_kinds_written_in_one_word_count(tmp_path):
         assert {"dark", "flat", "exposure"} & rig.keys() == {kind}, name
 
 
-def test_hidden_files_are_no_images(tmp_path):
-    """macOS writes these beside each file on a stick, with the suffix of the image."""
+def test_hidden_files_are_not_images(tmp_path):
+    """macOS writes these next to each file on a memory stick, with the image's suffix."""
     for n in range(2):
         write_image(tmp_path / f"IMG_{n}_{n + 1}s.tif", np.full((4, 4), 7, np.uint16))
     (tmp_path / ".thumbs").mkdir()
@@ -380,7 +381,7 @@ def test_copies_in_another_format_and_thumbnails_are_left_out(tmp_path):
         (lambda x: x / 4095, r"All numbers lie between 0 and 1"),
     ],
 )
-def test_frames_that_were_processed_are_described(process, words, tmp_path):
+def test_processed_frames_are_described(process, words, tmp_path):
     rng = np.random.default_rng(0)
     for kind, light in (("dark", 0), ("flat", 900)):
         for i in range(2):
@@ -391,7 +392,7 @@ def test_frames_that_were_processed_are_described(process, words, tmp_path):
     assert words is None or any(re.match(words, one) for one in missing)
 
 
-def test_a_time_in_the_header_that_differs_from_the_name_is_said(tmp_path):
+def test_a_header_time_that_differs_from_the_name_is_named(tmp_path):
     for name in ("dark_8ms_0", "flat_80ms_0"):
         photograph(tmp_path / f"{name}.jpg", seconds=0.008)
     told = [one for one in rig_of(tmp_path).missing if "its header says" in one]
@@ -399,7 +400,7 @@ def test_a_time_in_the_header_that_differs_from_the_name_is_said(tmp_path):
 
 
 def test_links_to_images_are_not_counted_again(tmp_path):
-    """A link to the folder itself, and one beside the file that it leads to."""
+    """One link is to the folder itself, and one is next to the file that it leads to."""
     for n in range(2):
         write_image(tmp_path / f"IMG_{n}_{n + 1}s.tif", np.full((4, 4), 7, np.uint16))
     (tmp_path / "run").mkdir()

@@ -1,4 +1,4 @@
-"""Each key of a rig changes what a calibration fits, or the report says that it does not."""
+"""Tests that each key of a rig changes what a calibration fits, or is reported as unused."""
 
 import dataclasses
 
@@ -38,7 +38,7 @@ KEYS += ["exposure.exposure_sd", "flat.irradiance"]
 
 
 def rig_of(key="", *, without=()):
-    """A rig that states everything; one key a hundredth larger."""
+    """Return a rig that states everything, with one key larger by 1 %."""
     section, _, name = key.partition(".")
 
     def entry(own, **given):
@@ -72,12 +72,13 @@ def load(path):
 
 
 def flats(rig, *, load):
-    """What a noise calibration fits: it only compares its results with what the rig states."""
+    """Return the data that a noise calibration fits. Stated values are only compared with its
+    results."""
     return dataclasses.replace(reduce_rig(rig, load=load), stated=())
 
 
 def photographs(rig, *, load):
-    """What a reflectance calibration takes of them: nothing of the camera's own record."""
+    """Return the data that a reflectance calibration uses, without the camera's own record."""
     return dataclasses.replace(read_reflectance_observation(rig, load=load), camera=None)
 
 
@@ -97,20 +98,20 @@ READ = {
 
 
 def numbers(x):
-    """All numbers and names of nested records, written out."""
+    """Return all numbers and names of nested records as text."""
     if dataclasses.is_dataclass(x):
         return [numbers(getattr(x, field.name)) for field in dataclasses.fields(x)]
     if isinstance(x, dict):
         return [(key, numbers(value)) for key, value in x.items()]
     if isinstance(x, tuple | list):
         return [numbers(value) for value in x]
-    return str(np.asarray(x).tolist()) if hasattr(x, "shape") else repr(x)  # NaN is as NaN
+    return str(np.asarray(x).tolist()) if hasattr(x, "shape") else repr(x)  # NaN equals NaN
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", READ)
-def test_what_is_not_said_to_be_unused_changes_what_is_fitted(kind):
-    """Keys of the sections that a command reads, each a hundredth larger."""
+def test_every_key_not_reported_as_unused_changes_the_fit(kind):
+    """Each key of the sections that a command reads is changed by 1 %."""
     rig = rig_of()
     told = " ".join(unused_keys(rig, kind))
     read = READ[kind]
@@ -135,18 +136,18 @@ def test_what_is_not_said_to_be_unused_changes_what_is_fitted(kind):
         ),
     ],
 )
-def test_why_a_key_is_not_used_is_said(kind, without, sentence):
+def test_the_reason_for_an_unused_key_is_given(kind, without, sentence):
     assert sentence in " ".join(unused_keys(rig_of(without=without), kind))
 
 
-def test_a_fitted_exponent_takes_the_place_of_what_the_rig_states():
+def test_a_fitted_exponent_replaces_the_rigs():
     told = unused_keys(rig_of(), "joint", fit_gamma=True)
     assert told[-1] == (
         "Not used of the rig: camera.gamma and camera.gamma_sd; the encoding exponent was fitted."
     )
 
 
-def test_a_rig_of_what_is_used_says_nothing():
+def test_a_rig_without_unused_keys_has_no_report():
     left = ("bits", "black_level", "saturation", "gain", "read_noise")
     without = tuple(f"camera.{key}" for key in CAMERA if key not in left)
     rig = rig_of(without=without).model_copy(update={"flat": (), "dark": ()})

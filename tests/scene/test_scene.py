@@ -1,4 +1,5 @@
-"""Records: arrays keep the caller's dtype, absent effects are `None`, errors name shapes."""
+"""Tests records: arrays keep the caller's dtype, absent effects are `None`, and errors name
+shapes."""
 
 import equinox as eqx
 import jax
@@ -34,7 +35,7 @@ def test_absent_effects_have_no_leaf():
     assert len(jax.tree.leaves(Lambert(RED, ambient=RED))) == 2
 
 
-def test_kinds_of_shot_noise_differ_in_structure():
+def test_types_of_shot_noise_differ_in_structure():
     structures = {
         jax.tree.structure(s.Sensor(shot_noise=kind))
         for kind in (None, s.PoissonShotNoise(), s.GaussianShotNoise())

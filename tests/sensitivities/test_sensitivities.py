@@ -1,5 +1,5 @@
-"""Spectral sensitivities from simulated charts: against the cameras that made them, and against
-colour-science's recovery."""
+"""Tests spectral sensitivities from simulated charts, against the true cameras and colour-science's
+recovery."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,7 @@ def camera(name):
 
 
 def random_camera(seed):
-    """Dyes with edges of random place and steepness, crosstalk, and a filter before them."""
+    """Return a camera of dyes with random edges, crosstalk, and a filter in front."""
     rng = np.random.default_rng(1000 + seed)
 
     def rise(low, high, steep, wide, sign=1):
@@ -36,7 +36,7 @@ def random_camera(seed):
 
 
 def chart(true, seed):
-    """Readings of a chart by daylight, and their noise."""
+    """Return readings of a chart in daylight, and their noise."""
     mean = (CHART * DAY) @ true
     sd = np.hypot(0.005 * mean, 0.002 * mean.max())
     return mean + sd * np.random.default_rng(seed).normal(size=mean.shape), sd
@@ -46,7 +46,7 @@ def holds(bands, truth):
     return (bands.interval_95[0] <= truth) & (truth <= bands.interval_95[1])
 
 
-def test_curves_matrix_and_balance_are_those_of_the_camera():
+def test_curves_matrix_and_balance_equal_the_cameras():
     true = camera(NAMES[0])
     readings, sd = chart(true, 0)
     found = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd, draws=100)
@@ -77,7 +77,7 @@ def test_curves_matrix_and_balance_are_those_of_the_camera():
     assert "red: peak" in str(found)
 
 
-def test_narrow_bands_tell_the_curve_where_they_are():
+def test_narrow_bands_determine_the_curve_at_their_wavelengths():
     true = camera(NAMES[0])
     bands = np.exp(-(((NM - np.arange(410, 700, 20)[:, None]) / 8.0) ** 2))
     readings = bands @ true
@@ -87,8 +87,9 @@ def test_narrow_bands_tell_the_curve_where_they_are():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("off", [-10.0, 0.0, -40.0])
-def test_wavelengths_of_bands_that_are_off_are_named(off):
-    """By readings of a chart; bands alone cannot show it, and a finding says how much matters."""
+def test_wrong_wavelengths_of_bands_are_named(off):
+    """Readings of a chart show it, which bands alone cannot. A finding gives the shift that
+    matters."""
     true, rng = camera(NAMES[0]), np.random.default_rng(0)
     bands = np.exp(-(((NM - np.arange(410, 700, 20)[:, None]) / 8.0) ** 2))
     moved = np.array([np.interp(NM + off, NM, one) for one in true.T]).T
@@ -103,15 +104,15 @@ def test_wavelengths_of_bands_that_are_off_are_named(off):
     assert "wavelengths of narrow bands are taken as exact" in " ".join(alone.findings)
     told = " ".join(both.findings)
     assert ("agree best if" in told) == (off != 0)
-    if off < -25:  # farther than is looked
+    if off < -25:  # beyond the searched range
         assert "25 nm or more below the stated wavelengths" in told
     elif off:
         assert float(told.split("bands lie ")[1].split()[0]) == pytest.approx(off, abs=2.5)
 
 
 @pytest.mark.slow
-def test_noise_a_thousand_times_the_stated_one_widens_as_much():
-    """Also where the standard deviations are in another unit than the readings."""
+def test_noise_a_thousand_times_the_stated_one_widens_the_intervals():
+    """This also holds if the standard deviations are in another unit than the readings."""
     true, covered = camera(NAMES[0]), []
     for seed in range(2):
         readings, sd = chart(true, seed)
@@ -124,7 +125,7 @@ def test_noise_a_thousand_times_the_stated_one_widens_as_much():
     assert np.mean(covered) > 0.8
 
 
-def test_louder_noise_is_found_and_said():
+def test_larger_noise_is_estimated_and_reported():
     true = camera(NAMES[1])
     readings, sd = chart(true, 3)
     stated = sensitivities.from_patches(readings, CHART * DAY, 1e-9 * NM, sd=sd / 5, draws=20)
@@ -158,7 +159,8 @@ def test_readings_that_no_sensitivity_explains_are_named(change, said, stated):
 
 
 def test_clipped_readings_are_named():
-    """In green alone; 8-bit readings of which two are equal by chance are not clipped."""
+    """Only green is clipped. 8-bit readings of which two are equal by chance are not called
+    clipped."""
     readings, _ = chart(camera(NAMES[0]), 0)
     most = 0.6 * readings.max()
     for seen, said in (
@@ -183,14 +185,15 @@ def test_clipped_readings_are_named():
         ({"draws": 0}, "draws = 0: give a whole number of at least 2"),
     ],
 )
-def test_what_cannot_be_used_is_a_sentence(change, said):
+def test_unusable_readings_are_one_sentence(change, said):
     given = {"readings": np.ones((24, 3)), "light": CHART, "wavelengths": 1e-9 * NM}
     with pytest.raises(InputError, match=said):
         sensitivities.from_patches(**{**given, **change})
 
 
-def test_intervals_hold_behind_a_filter_with_an_edge():
-    """Of 10 nm, between 650 and 660 nm; a smooth process alone had covered none of these."""
+def test_intervals_cover_behind_a_filter_with_an_edge():
+    """The edge is 10 nm wide, between 650 and 660 nm. A smooth process alone covered none of
+    these."""
     true = camera(NAMES[1])
     covered = []
     for seed in range(2):
@@ -202,8 +205,8 @@ def test_intervals_hold_behind_a_filter_with_an_edge():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*NAMES, "random"])
-def test_intervals_hold(name):
-    """Curves that no Gaussian process has drawn. The random cameras are twelve."""
+def test_intervals_cover_the_true_curves(name):
+    """The curves are not drawn from a Gaussian process. There are twelve random cameras."""
     rng = np.random.default_rng(99)
     middle = rng.uniform(400, 700, (20, 1))
     others = 0.05 + rng.uniform(0, 1, (20, 1)) * np.exp(-(((NM - middle) / 80) ** 2))
@@ -219,9 +222,9 @@ def test_intervals_hold(name):
 
 
 @pytest.mark.slow
-def test_it_is_no_worse_than_a_basis_of_measured_cameras():
-    """Jiang's recovery with Dyer's basis, by colour-science, on the Sigma, which that basis does
-    not have."""
+def test_it_is_as_good_as_a_basis_of_measured_cameras():
+    """The reference is Jiang's recovery with Dyer's basis, by colour-science, for the Sigma, which
+    is not in that basis."""
     import colour
 
     true = camera(NAMES[1]) / camera(NAMES[1]).max(0)

@@ -1,4 +1,4 @@
-"""Charges that repel each other, against differential equations and series in plain NumPy."""
+"""Tests the brighter-fatter effect against differential equations and series in plain NumPy."""
 
 from dataclasses import replace
 from itertools import product
@@ -38,7 +38,7 @@ def neighbours(shape, p):
 
 
 def potentials(shape, kernel):
-    """(pixels, pixels): phi of each pixel by the charge of each, mirrored at the borders."""
+    """Return phi of each pixel by the charge of each, (pixels, pixels), mirrored at the borders."""
     places = list(product(range(shape[0]), range(shape[1])))
     of = np.zeros((len(places), len(places)))
     reach = [range(1 - n, n) for n in kernel.shape]
@@ -52,7 +52,7 @@ def potentials(shape, kernel):
 
 
 def currents(light, kernel):
-    """(pixels, pixels): what each pixel gains by the charge of each, per unit of time."""
+    """Return what each pixel gains by the charge of each per unit of time, (pixels, pixels)."""
     places, phi = potentials(light.shape, kernel)
     gains = np.zeros_like(phi)
     for i, p in enumerate(places):
@@ -62,7 +62,7 @@ def currents(light, kernel):
 
 
 def moments(light, kernel):
-    """Mean and covariance after the exposure."""
+    """Return mean and covariance after the exposure."""
     gains, arriving, n = currents(light, kernel), light.ravel(), light.size
 
     def rates(time, state):
@@ -75,7 +75,7 @@ def moments(light, kernel):
     return found[:n].reshape(light.shape), found[n:].reshape(n, n)
 
 
-def test_the_mean_is_that_of_the_differential_equation():
+def test_the_mean_solves_the_differential_equation():
     mean = moments(SPOTS, KERNEL)[0]
     assert np.abs(mean - SPOTS).max() > 30
     errors = {}
@@ -88,7 +88,7 @@ def test_the_mean_is_that_of_the_differential_equation():
 
 
 def test_flat_covariances_are_equation_20_of_astier():
-    """Its first four terms, by convolutions, where the next is below 1e-7."""
+    """The reference is its first four terms, by convolutions, where the next is below 1e-7."""
     a = np.asarray(area_changes(jnp.asarray(KERNEL)))
     lags = [np.abs(np.arange(-2, 3))] * 2
     whole = a[np.ix_(*lags)]
@@ -103,7 +103,7 @@ def test_flat_covariances_are_equation_20_of_astier():
 
 
 @pytest.mark.parametrize("mu", [1.0, 1e5, 4e5])
-def test_flat_covariances_are_the_exponential_in_fourier_space(mu):
+def test_flat_covariances_equal_the_exponential_in_fourier_space(mu):
     a = np.asarray(area_changes(jnp.asarray(KERNEL)))
     whole = np.zeros((32, 32))
     for i, j in product(range(-2, 3), repeat=2):
@@ -121,7 +121,7 @@ def test_flat_covariances_are_the_exponential_in_fourier_space(mu):
 
 
 def test_frames_have_the_covariances_of_the_closed_form():
-    """Of frames of a flat: variance and covariances, each within 4.5 standard errors."""
+    """In frames of a flat, variance and covariances are within 4.5 standard errors."""
     mu, shape, frames = 6e4, (64, 64), 48
     sensor = s.Sensor(shot_noise=s.GaussianShotNoise(), brighter_fatter=EFFECT)
     keys = jax.random.split(jax.random.key(3), frames)
@@ -133,7 +133,7 @@ def test_frames_have_the_covariances_of_the_closed_form():
         h, w = x.shape[1:]
         both = x[:, : h - i, : w - j] * x[:, i:, j:]
         error = mu * np.sqrt((2 if i == j == 0 else 1) / both.size)
-        tolerance = 4.5 * error + 0.04 * (3.3e-6 * mu) ** 2 / 9 * mu  # of the 8 steps
+        tolerance = 4.5 * error + 0.04 * (3.3e-6 * mu) ** 2 / 9 * mu  # for 8 steps
         assert abs(both.mean() - expected[i, j]) < tolerance, (i, j)
     assert mu - x.var() > 20 * mu * np.sqrt(2 / x.size)
     got = signal_variance(sensor, light)
@@ -163,8 +163,8 @@ def test_the_bound_holds_over_the_true_moments(scale):
     assert apart <= bound <= 20 * apart
 
 
-def test_a_well_holds_what_repels():
-    """Beyond its full well a pixel repels no more."""
+def test_the_effect_is_limited_by_the_full_well():
+    """Charge beyond the full well has no further effect."""
     light = np.full((5, 5, 1), 1000.0)
     light[2, 2] = 1e8
     sensor = s.Sensor(brighter_fatter=EFFECT, full_well=1e4)
@@ -173,7 +173,7 @@ def test_a_well_holds_what_repels():
     assert got.min() > 900
 
 
-def test_what_cannot_be_is_refused():
+def test_impossible_kernels_are_refused():
     with pytest.raises(ValueError, match="at least 2, got 1"):
         s.BrighterFatter(KERNEL, steps=1)
     with pytest.raises(ValueError, match="needs an image"):
@@ -185,7 +185,7 @@ def test_what_cannot_be_is_refused():
 
 
 @pytest.mark.slow
-def test_slopes_are_those_of_the_series_also_without_an_effect():
+def test_derivatives_equal_the_series_also_without_an_effect():
     """d C_ij / d a_ij is mu^2 at a = 0, where a fit starts."""
     mu = jnp.asarray(1e4)
     slopes = jax.jacfwd(lambda a: flat_covariances(a, mu))(jnp.zeros((2, 2)))
@@ -200,8 +200,8 @@ def test_slopes_are_those_of_the_series_also_without_an_effect():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mu", [1e4, 1e7])
-def test_slopes_in_the_kernel_hold_where_the_series_is_held_too(mu):
-    """Central differences with steps of a thousandth of each number."""
+def test_derivatives_by_the_kernel_hold_where_the_series_is_clamped(mu):
+    """The reference takes central differences with steps of a thousandth of each number."""
     effect = s.BrighterFatter([[8e-7, 2e-7], [3e-7, 5e-8]])
 
     def variance(kernel):

@@ -1,5 +1,5 @@
-"""`correct` undoes a camera: against the light that went in, naive NumPy, and the errors that it
-states, by simulated frames."""
+"""Tests `correct`, which inverts a camera, against the true light, naive NumPy, and the scatter of
+simulated frames."""
 
 import re
 import warnings
@@ -54,13 +54,13 @@ TAPS = {
 
 
 def exposed(light):
-    """Photons a second."""
+    """Return the light in photons per second."""
     return jnp.asarray(light / 0.02)
 
 
-def test_a_camera_without_noise_is_undone():
-    """All that does not draw: within the second order of the brighter-fatter effect and of charge
-    transfer, 0.02 %."""
+def test_a_camera_without_noise_is_inverted():
+    """All effects without random draws are inverted within 0.02 %, the second order of the
+    brighter-fatter effect and charge transfer."""
     sensor = replace(
         SENSOR,
         shot_noise=None,
@@ -82,11 +82,11 @@ def test_a_camera_without_noise_is_undone():
     np.testing.assert_allclose(found.image, 0.5 * scene, rtol=4e-4)
     photons = js.correct(raw, sensor, unit="photons")
     np.testing.assert_allclose(photons.image, scene, rtol=4e-4)
-    assert np.abs(np.asarray(raw) - 100 - 0.25 * scene).max() > 100  # there was much to undo
+    assert np.abs(np.asarray(raw) - 100 - 0.25 * scene).max() > 100  # the effects are large
 
 
-def test_codes_are_corrected_as_their_numbers():
-    """Unsigned numbers would wrap below the dark frame, and gains of taps be cut to integers."""
+def test_integer_codes_are_corrected_as_numbers():
+    """Unsigned integers would wrap around below the dark frame, and truncate gains of taps."""
     codes = np.array([[90, 130, 95, 140]] * 4, np.uint16)[..., None]
     camera = jv.Sensor(gain=0.25, offset=100.0, bits=12)
     taps = replace(camera, taps=jv.Taps(((0, 1),), gain=[0.9, 1.1], offset=[-2.0, 3.0]))
@@ -99,8 +99,8 @@ def test_codes_are_corrected_as_their_numbers():
 
 
 @pytest.mark.slow
-def test_a_frame_at_the_full_well_has_no_numbers():
-    """Read noise leaves half of its codes below the well."""
+def test_a_frame_at_the_full_well_has_no_values():
+    """With read noise, half of the codes are below the well."""
     camera = jv.Sensor(read_noise=6.0, gain=0.25, offset=100.0, full_well=14_000.0, bits=12)
     raw = jv.raw_image(jax.random.key(0), camera, jnp.full((32, 32, 1), 30_000.0))
     assert np.isnan(js.correct(raw, camera).image).all()
@@ -130,9 +130,9 @@ def test_dark_flat_and_defects_against_naive_numpy():
     assert np.isnan(clipped.image).ravel().tolist() == [True, False]
 
 
-def test_bias_dark_and_flat_are_those_of_ccdproc():
-    """Printed by ccdproc 2.5.1: subtract_bias, subtract_dark of the same exposure, gain_correct and
-    flat_correct; create_deviation of the frame without bias."""
+def test_bias_dark_and_flat_equal_ccdproc():
+    """The values were printed by ccdproc 2.5.1: subtract_bias, subtract_dark of the same exposure,
+    gain_correct and flat_correct, and create_deviation of the frame without bias."""
     raw, bias, dark, flat = (
         np.reshape(values, (2, 3, 1))
         for values in (
@@ -163,7 +163,7 @@ def test_bias_dark_and_flat_are_those_of_ccdproc():
     np.testing.assert_allclose(np.sqrt(plain.variance).ravel(), deviation, rtol=1e-6)
 
 
-def test_irradiance_is_what_went_in():
+def test_irradiance_is_recovered():
     conversion = jv.PhotonConversion(550e-9, 25e-12)
     sensor = jv.Sensor(
         photon_conversion=conversion, quantum_efficiency=0.6, exposure_time=0.01, gain=0.5
@@ -172,7 +172,7 @@ def test_irradiance_is_what_went_in():
     np.testing.assert_allclose(js.correct(raw, sensor, unit="irradiance").image, 0.02, rtol=1e-6)
 
 
-def test_what_it_refuses():
+def test_unusable_frames_are_refused():
     raw = jnp.ones((2, 2, 1))
     with pytest.raises(ValueError, match="unit must be one of electrons, photons, irradiance"):
         js.correct(raw, jv.Sensor(), unit="lux")
@@ -196,8 +196,8 @@ def test_what_it_refuses():
 
 
 @pytest.mark.slow
-def test_a_filter_carries_the_errors_as_a_mean_does():
-    """A box of 5 x 5 at one pixel is the mean over these 25; and so for one that is shared."""
+def test_a_filter_propagates_errors_like_a_mean():
+    """A box of 5 x 5 at one pixel is the mean over 25 pixels, and so for shared errors."""
     draws = jax.vmap(lambda x: replace(SIMPLE, gain=SIMPLE.gain * (1 + 0.01 * x)))
     raw = jv.raw_image(jax.random.key(1), SIMPLE, exposed(LIGHT), die_key=DIE)
     found = js.correct(raw, SIMPLE, draws=draws(jnp.linspace(-1, 1, 9)))
@@ -210,8 +210,8 @@ def test_a_filter_carries_the_errors_as_a_mean_does():
 
 
 @pytest.mark.slow
-def test_what_pixels_share_is_how_far_draws_move_them():
-    """The sum of squares against the variance of frames corrected with each draw."""
+def test_shared_errors_are_the_scatter_over_draws():
+    """The sum of squares equals the variance of frames corrected with each draw."""
     best = jv.Sensor(gain=0.5, offset=100.0, nonlinearity=jv.Compression(0.05, electrons=1e4))
     rng = np.random.default_rng(4)
 
@@ -228,7 +228,8 @@ def test_what_pixels_share_is_how_far_draws_move_them():
 
 
 def simulated(count, masters_of, frames=16, taps=None):
-    """z of pixels, patches, and their differences in pairs of frames that share dark and flat."""
+    """Return z of pixels, patches, and their differences in pairs of frames that share dark and
+    flat."""
 
     def master(sensor, key, die, light):
         shots = jax.random.split(key, frames)
@@ -281,8 +282,8 @@ def check(count, found):
 
 
 @pytest.mark.slow
-def test_stated_errors_are_those_of_a_few_simulated_frames():
-    """Mixing, a curve, lines and read noise, of one die without a pattern."""
+def test_stated_errors_equal_the_scatter_of_a_few_frames():
+    """The camera has mixing, a curve, row noise and read noise, and one die without a pattern."""
     plain = replace(SIMPLE, prnu=None, dsnu=None, row_noise=12.0)
     keys = jax.random.split(jax.random.key(6), 60)
     raw = jax.jit(jax.vmap(lambda key: jv.raw_image(key, plain, exposed(LIGHT))))(keys)
@@ -295,12 +296,12 @@ def test_stated_errors_are_those_of_a_few_simulated_frames():
     assert abs(pixels.var() - 1) < 0.05
     assert abs(z.var() - 1) < 4 * np.sqrt(2 / 60)
     alone = np.asarray(found.variance)[:, PATCH].sum(1) / PATCH.sum() ** 2
-    assert (alone < 0.8 * patch.variance).all()  # lines are shared by the pixels of a patch
+    assert (alone < 0.8 * patch.variance).all()  # row noise is shared in a patch
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("with_masters", [True, False])
-def test_stated_errors_are_those_of_two_hundred_simulated_frames(with_masters):
+def test_stated_errors_equal_the_scatter_of_two_hundred_frames(with_masters):
     """Without masters the pattern of each die counts as an error."""
     check(200, simulated(200, with_masters))
 
@@ -308,8 +309,8 @@ def test_stated_errors_are_those_of_two_hundred_simulated_frames(with_masters):
 @pytest.mark.slow
 @pytest.mark.parametrize("masters", [True, False])
 @pytest.mark.parametrize("kind", TAPS)
-def test_stated_errors_are_those_of_frames_of_several_taps(kind, masters):
-    """A flat makes the sites of a mosaic alike only where its light is that of the scene."""
+def test_stated_errors_equal_the_scatter_of_frames_of_several_taps(kind, masters):
+    """A flat equalises the sites of a mosaic only if its light has the scene's spectrum."""
     if kind == "mosaic" and masters:
         pytest.skip("electrons of a mosaic behind a flat are those of a mean pixel")
     check(100, simulated(100, masters, taps=TAPS[kind]))
@@ -318,8 +319,9 @@ def test_stated_errors_are_those_of_frames_of_several_taps(kind, masters):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", TAPS)
 @pytest.mark.sweep
-def test_frames_of_several_taps_are_undone(kind):
-    """Without noise exactly, in photons of one scale; with it, the moments of z of 100 frames."""
+def test_frames_of_several_taps_are_inverted(kind):
+    """Without noise the result is exact, in photons on one scale. With noise, the moments of z over
+    100 frames are right."""
     plain = jv.Sensor(quantum_efficiency=0.5, gain=0.5, offset=100.0, read_noise=6.0)
     plain = replace(plain, prnu=1e-6, taps=TAPS[kind])
     raw = jv.raw_image(
@@ -342,16 +344,16 @@ def test_frames_of_several_taps_are_undone(kind):
     assert abs(float((mean / LIGHT).mean()) - 1) < 1e-3
 
 
-def test_what_a_camera_lacks_is_not_traced():
+def test_effects_that_a_camera_lacks_are_not_traced():
     raw = jnp.ones((4, 4, 1))
     found = primitives(lambda x: js.correct(x, jv.Sensor(offset=8.0)).image, raw)
     assert not {"mul", "div", "add"} & {*found}
-    assert found["sub"] == 2  # of the image, and of what its errors are of
+    assert found["sub"] == 2  # for the image, and for its errors
 
 
 @pytest.mark.slow
-def test_patches_of_cameras_that_differ_as_their_draws_do():
-    """200 cameras drawn from the posterior; each frame is corrected with the best of them."""
+def test_patches_of_random_cameras_differ_as_their_draws():
+    """200 cameras are drawn from the posterior, and each frame is corrected with the best one."""
     plain = jv.Sensor(
         exposure_time=0.02,
         shot_noise=jv.PoissonShotNoise(),
@@ -391,12 +393,13 @@ def test_patches_of_cameras_that_differ_as_their_draws_do():
     assert abs(patch.mean()) < 4 / np.sqrt(200)
     assert abs(patch.var() - 1) < 4 * np.sqrt(2 / 200)
     assert abs(pixels.var() - 1) < 0.05
-    assert share.max() < 0.5  # most of a patch's error is shared
+    assert share.max() < 0.5  # most of the error is shared
 
 
 @pytest.mark.slow
-def test_masters_that_contradict_the_camera_are_told():
-    """A flat at full scale left the pattern in; a dark of ten times the time took off too much."""
+def test_masters_that_contradict_the_camera_are_named():
+    """Earlier, a flat at full scale left the pattern in, and a dark of ten times the exposure
+    subtracted too much."""
     sensor = replace(SIMPLE, dark_current=2000.0, exposure_time=0.02, bits=12)
     shape, top = (SIDE, SIDE, 1), 4095.0
     raw, dark = jnp.full(shape, 900.0), js.expected_signal(sensor, jnp.zeros(shape))
@@ -413,7 +416,7 @@ def test_masters_that_contradict_the_camera_are_told():
 
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_flat_without_light_is_refused(swapped):
-    """A flat divided by its mean, or in the place of the dark, left NaN everywhere."""
+    """A flat divided by its mean, or exchanged with the dark, gave NaN everywhere."""
     shape = (SIDE, SIDE, 1)
     dark, flat = (js.Master(jnp.full(shape, level), 8) for level in (SIMPLE.offset, 900.0))
     flat, dark = (dark, flat) if swapped else (js.Master(jnp.ones(shape), 8), dark)
@@ -422,18 +425,18 @@ def test_a_flat_without_light_is_refused(swapped):
 
 
 @pytest.mark.slow
-def test_the_mean_of_a_patch_with_saturated_pixels_is_said_to_be_too_low():
+def test_the_mean_of_a_patch_with_saturated_pixels_is_called_too_low():
     raw = jnp.full((SIDE, SIDE, 1), 900.0).at[:6].set(2.0**14 - 1)
     found = js.correct(raw, replace(SIMPLE, bits=14))
     with pytest.warns(UserWarning, match="0.25 of the patch's pixels are saturated"):
         found.mean()
     below = np.arange(SIDE)[:, None] * np.ones(SIDE) >= 6
-    assert float(found.mean(below).mean[0]) > 0  # without a word
+    assert float(found.mean(below).mean[0]) > 0  # no warning
     with pytest.warns(UserWarning, match="saturated"):
         (found - js.correct(jnp.full_like(raw, 500.0), replace(SIMPLE, bits=14))).mean()
 
 
-def test_flats_with_saturated_and_dead_pixels_scale_the_others_by_usable_ones():
+def test_unusable_pixels_of_flats_do_not_affect_the_scale_of_others():
     sensor = jv.Sensor(read_noise=5.0, gain=0.25, offset=60.0, bits=12)
     flat = jnp.full((24, 24, 1), 60.0 + 0.25 * 3000).at[:12].set(4095.0)
     flat = flat.at[15, 3].set(60.0).at[15, 9].set(50.0)
@@ -445,7 +448,7 @@ def test_flats_with_saturated_and_dead_pixels_scale_the_others_by_usable_ones():
 
 
 @pytest.mark.parametrize("scale", [1 / 4095, 1 / 16])
-def test_numbers_of_another_scale_are_warned_of(scale):
+def test_numbers_on_another_scale_cause_a_warning(scale):
     sensor = jv.Sensor(read_noise=5.0, gain=0.25, offset=200.0, bits=12)
     raw = jnp.full((8, 8, 1), 800.0)
     with pytest.warns(UserWarning, match="below the 200 DN without light"):
@@ -455,7 +458,7 @@ def test_numbers_of_another_scale_are_warned_of(scale):
 
 @pytest.mark.slow
 def test_raw_numbers_of_a_colour_mosaic_are_corrected_without_a_warning():
-    """Also with a light offset, whose share differs between the sites."""
+    """This also holds with a light offset, whose share differs between the sites."""
     colours = jv.ColourFilter(jnp.diag(jnp.array([0.6, 1.0, 0.4])), pattern=((0, 1), (1, 2)))
     noise = {"shot_noise": jv.PoissonShotNoise(), "read_noise": 5.0}
     sensor = jv.Sensor(gain=0.4, offset=64.0, bits=12, colour_filter=colours, **noise)
@@ -469,7 +472,7 @@ def test_raw_numbers_of_a_colour_mosaic_are_corrected_without_a_warning():
 
 
 def processed_frames():
-    """Of a camera: frames of a smooth scene, and masters of 64 frames, by naive NumPy."""
+    """Return a camera's frames of a smooth scene, and masters of 64 frames, by naive NumPy."""
     rng, shape = np.random.default_rng(0), (96, 96)
     gains, offsets = 1 + 0.01 * rng.normal(size=shape), 2 * rng.normal(size=shape)
     light = np.linspace(50, 8000, 96) * np.ones(shape)
@@ -499,7 +502,7 @@ def told_of(raw, **of):
     return " ".join(str(one.message) for one in told)
 
 
-def test_frames_that_were_processed_are_warned_of():
+def test_processed_frames_cause_a_warning():
     frame, dark, flat = processed_frames()
     masters = jv.Masters(dark=js.Master(dark[..., None], 64), flat=js.Master(flat[..., None], 64))
     assert told_of(frame()) == told_of(frame(), masters=masters) == ""
@@ -521,8 +524,8 @@ def test_frames_that_were_processed_are_warned_of():
 
 
 @pytest.mark.parametrize("level", [300, 800, 1500])
-def test_black_that_was_subtracted_in_even_light_is_warned_of(level):
-    """No number is below black; the noise is that of 160 electrons more."""
+def test_subtracted_black_in_uniform_light_causes_a_warning(level):
+    """No number is below black. The noise would be that of 160 more electrons."""
     for seed in range(3):
         rng, shape = np.random.default_rng(seed), (128, 128)
         light = rng.poisson(level * (1 + 0.01 * rng.normal(size=shape)) + 2)
@@ -532,7 +535,7 @@ def test_black_that_was_subtracted_in_even_light_is_warned_of(level):
         assert "are then 162 electrons too small" in told_of(raw - 64)
 
 
-def test_mirrored_frames_are_warned_of():
+def test_mirrored_frames_cause_a_warning():
     frame, dark, flat = processed_frames()
     masters = jv.Masters(dark=js.Master(dark[..., None], 64), flat=js.Master(flat[..., None], 64))
     for axis, words in ((1, "left to right"), (0, "top to bottom"), ((0, 1), "by 180 degrees")):
@@ -543,8 +546,9 @@ def test_mirrored_frames_are_warned_of():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(12))
-def test_raw_frames_of_cameras_are_not_warned_of(seed):
-    """Dim and bright, with row noise, dark current, a curve, mixing or a well, over four scenes."""
+def test_raw_frames_of_cameras_cause_no_warning(seed):
+    """The frames are dim and bright, with row noise, dark current, a curve, mixing or a well, over
+    four scenes."""
     rng, size = np.random.default_rng(seed), 64
     gain = 10 ** rng.uniform(-1.5, 0.7)
     some = {
@@ -573,4 +577,4 @@ def test_raw_frames_of_cameras_are_not_warned_of(seed):
     )
     field = light * scenes[seed % 4][..., None]
     raw = jv.raw_image(jax.random.key(seed), sensor, field, die_key=jax.random.key(99))
-    js.correct(raw, sensor)  # pytest turns a warning into an error
+    js.correct(raw, sensor)  # pytest turns warnings into errors

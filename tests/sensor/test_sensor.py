@@ -1,8 +1,7 @@
-"""The sensor's laws: mean and variance of each source of noise against theory, counted once.
+"""Tests the sensor's noise: mean and variance of each source against theory, counted once.
 
-Statistical bounds are 5 standard errors of the estimator itself, with the fourth moment of the
-distribution under test, for one fixed seed.
-"""
+Statistical bounds are 5 standard errors of the estimator, with the fourth moment of the
+distribution under test, for one fixed seed."""
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +48,7 @@ def test_poisson_shot_noise_replaces_the_mean(level):
 
 
 def test_poisson_counts_follow_the_distribution():
-    """Chi-square of the counts at 3 electrons, against scipy's probabilities."""
+    """A chi-square test of counts at 3 electrons, with SciPy's probabilities."""
     sample = np.asarray(raw(KEY, Sensor(shot_noise=POISSON), flat(3.0))).ravel().astype(int)
     cells = np.bincount(np.minimum(sample, 10), minlength=11)
     probability = np.append(stats.poisson.pmf(range(10), 3), stats.poisson.sf(9, 3))
@@ -70,7 +69,7 @@ def test_read_noise(sigma):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("level", LEVELS)
-def test_dark_current_brings_its_own_shot_noise(level):
+def test_dark_current_has_its_own_shot_noise(level):
     sensor = Sensor(dark_current=level / 0.25, exposure_time=0.25, shot_noise=POISSON)
     check_moments(raw(KEY, sensor, flat(0.0)), level, level, level + 3 * level**2)
     both = level + 10
@@ -78,7 +77,7 @@ def test_dark_current_brings_its_own_shot_noise(level):
 
 
 @pytest.mark.parametrize("rms", LEVELS)
-def test_dsnu_stays_with_the_die(rms):
+def test_dsnu_is_fixed_for_a_die(rms):
     sensor = Sensor(dsnu=rms)
     sample = raw(KEY, sensor, flat(20.0), die_key=DIE)
     check_moments(sample, 20, rms**2, 3 * rms**4)
@@ -95,7 +94,8 @@ def test_prnu_is_relative_to_the_light(level):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_whole_linear_sensor_counts_quantisation_once(level):
-    """Read noise of 2 e- = 1 DN: quantisation is then white to 1e-8 and adds 1/12, once."""
+    """With a read noise of 2 e- = 1 DN, quantisation noise is white within 1e-8, and adds 1/12
+    once."""
     sensor = Sensor(
         quantum_efficiency=0.5,
         exposure_time=0.1,
@@ -135,7 +135,7 @@ def test_emva_conversion():
     np.testing.assert_allclose(rate * t * 1e-3, 50.34 * side**2 * t * wavelength * e, rtol=1e-4)
 
 
-def test_conversion_and_efficiency_go_by_band():
+def test_conversion_and_efficiency_are_per_band():
     sensor = Sensor(
         photon_conversion=PhotonConversion([6e-7, 5e-7], 1e-11),
         quantum_efficiency=[0.4, 0.6],
@@ -163,7 +163,7 @@ def test_missing_keys_are_named():
         collect(KEY, Sensor(prnu=0.1), flat(1.0))
 
 
-def test_an_empty_sensor_hands_photons_on():
+def test_an_empty_sensor_returns_photons():
     x = jnp.arange(6.0).reshape(2, 3)
     np.testing.assert_array_equal(raw_image(None, Sensor(), x), x)
     np.testing.assert_array_equal(expected_signal(Sensor(), x), x)

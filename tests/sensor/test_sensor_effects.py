@@ -1,8 +1,7 @@
-"""Effects that calibrations find beside the linear model: mixing of neighbours, curves from charge
-to signal, light offsets, taps, and noise that columns and frames share.
+"""Tests effects found by calibrations beyond the linear model: mixing of neighbours, curves from
+charge to signal, light offsets, taps, and noise shared by columns and frames.
 
-Moments are checked against simulated frames and against closed forms in NumPy and SciPy.
-"""
+Moments are checked against simulated frames and closed forms in NumPy and SciPy."""
 
 from dataclasses import replace
 
@@ -31,13 +30,13 @@ CHARGES = np.array([-40.0, 0.0, 1.0, 1500.0, 2000.0, 7777.0, 1e4, 1.4e4])
 
 
 def straight_on(x, low, high, inside, first, last):
-    """A curve that goes straight on beyond both ends."""
+    """Return a curve that continues straight beyond both ends."""
     within = np.clip(x, low, high)
     return inside(within) + np.where(x < low, first, last) * (x - within)
 
 
 def by_hand(curve, x):
-    """The signal of a charge, in NumPy and SciPy."""
+    """Return the signal of a charge, in NumPy and SciPy."""
     if isinstance(curve, jv.Compression):
         c, d = float(curve.first), 0.0 if curve.second is None else float(curve.second)
         top = float(curve.electrons)
@@ -71,8 +70,8 @@ def test_curves_their_inverses_and_slopes(name):
 
 
 @pytest.mark.parametrize("name", CURVES)
-def test_slopes_of_curves_stay_within_what_effects_takes(name):
-    """`slopes` bounds every slope between two of 4,000 charges; 0.1 % wide at most."""
+def test_slopes_of_curves_are_within_the_bounds_for_effects(name):
+    """`slopes` bounds every slope between two of 4,000 charges, and is at most 0.1 % too wide."""
     curve = CURVES[name]
     moved, grows = js.stage_of(curve).bound(Ends(curve, curve), 1.0)
     x = np.linspace(-1e3, 1.5e4, 4001)
@@ -82,7 +81,7 @@ def test_slopes_of_curves_stay_within_what_effects_takes(name):
     assert most <= moved * (1 + 1e-5) <= most + 2e-3
 
 
-def test_the_inverse_of_a_curve_has_the_slopes_of_its_numbers():
+def test_the_inverse_of_a_curve_has_derivatives_by_its_parameters():
     """By the implicit function theorem, against differences."""
 
     def back(second):
@@ -104,7 +103,7 @@ def at(function, sensor, light, **options):
 
 
 def covariances(found, reach):
-    """Of pixels i rows and j columns apart, of (i, j) and (i, -j) together."""
+    """Return covariances of pixels i rows and j columns apart, the mean of (i, j) and (i, -j)."""
     x = found - found.mean(0)
     h, w = x.shape[1:]
     result = np.zeros((reach + 1, reach + 1))
@@ -116,7 +115,7 @@ def covariances(found, reach):
     return result * len(x) / (len(x) - 1)
 
 
-def test_mixing_shares_electrons_as_a_naive_loop_does():
+def test_mixing_equals_a_naive_loop():
     picture = np.random.default_rng(2).uniform(0, 100, (7, 9))
     found = js.mixed(jnp.asarray(picture)[..., None], jv.Mixing(KERNEL))[..., 0]
     np.testing.assert_allclose(found, shared(picture, KERNEL), rtol=2e-6)
@@ -126,8 +125,8 @@ def test_mixing_shares_electrons_as_a_naive_loop_does():
 
 
 @pytest.mark.slow
-def test_moments_of_mixed_poisson_counts_against_sums_of_the_kernel():
-    """V sum w^2, and V sum w(k) w(k + lag); all together V."""
+def test_moments_of_mixed_poisson_counts_equal_sums_over_the_kernel():
+    """They are V sum w^2 and V sum w(k) w(k + lag), with a total of V."""
     sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), mixing=jv.Mixing(KERNEL), gain=0.5)
     assert at(jv.expected_signal, sensor, 800.0) == pytest.approx(400)
     variance = at(jv.signal_variance, sensor, 800.0)
@@ -143,7 +142,7 @@ def test_moments_of_mixed_poisson_counts_against_sums_of_the_kernel():
 
 @pytest.mark.slow
 def test_all_of_them_together_against_simulated_frames():
-    """Mean, variance and covariances of 3,000 frames within 4.5 standard errors."""
+    """Mean, variance and covariances of 3,000 frames are within 4.5 standard errors."""
     sensor = jv.Sensor(
         light_offset=300.0,
         shot_noise=jv.PoissonShotNoise(),
@@ -193,7 +192,8 @@ def test_noise_of_columns_and_frames_against_simulated_frames():
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", ["two terms", "spline"])
 def test_moments_behind_a_curve_against_sums_over_counts(name):
-    """Exact sums over Poisson's probabilities; the closed form is off by the square of 1 / m."""
+    """The reference sums over Poisson's probabilities. The closed form has an error of order 1 /
+    m^2."""
     curve, light = CURVES[name], 3000.0
     sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), nonlinearity=curve, gain=0.5)
     counts = np.arange(2000, 4000)
@@ -203,7 +203,7 @@ def test_moments_behind_a_curve_against_sums_over_counts(name):
     variance = chance @ (signal - mean) ** 2
     assert at(jv.signal_variance, sensor, light) == pytest.approx(variance, rel=1e-3)
     naive = 0.5 * by_hand(curve, light)
-    assert abs(naive - mean) > 1e-3  # the noise itself moves the mean
+    assert abs(naive - mean) > 1e-3  # noise changes the mean
 
 
 @pytest.mark.slow
@@ -236,14 +236,14 @@ def test_a_light_offset_in_photons_and_in_seconds():
     np.testing.assert_allclose(
         jv.mean_photoelectrons(late, bands), 1.1 * jv.mean_photoelectrons(plain, bands), rtol=1e-6
     )
-    assert jv.expected_signal(late, 0 * bands).tolist() == [1.0, 1.0]  # of the dark current
+    assert jv.expected_signal(late, 0 * bands).tolist() == [1.0, 1.0]  # by the dark current
     with pytest.raises(ValueError, match="exposure_time must be given with a ShutterOffset"):
         jv.Sensor(light_offset=jv.ShutterOffset(1e-3))
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("stretched", [False, True])
-def test_taps_read_their_own_pixels(stretched):
+def test_taps_affect_their_own_pixels(stretched):
     taps = jv.Taps(
         ((0, 1), (2, 3)),
         offset=[0.0, 5.0, 10.0, -3.0],
@@ -280,7 +280,7 @@ def test_taps_read_their_own_pixels(stretched):
         assert abs(of_tap - 1) < 5 * np.sqrt(2 / (4000 * 20))
 
 
-def test_what_taps_and_kernels_and_curves_refuse():
+def test_invalid_taps_kernels_and_curves_are_refused():
     with pytest.raises(ValueError, match=r"Sensor\.prnu must be given with Taps\.prnu"):
         jv.Sensor(taps=jv.Taps(((0, 1),), prnu=[1.0, 2.0]))
     with pytest.raises(ValueError, match=r"Taps\.pattern has the 2 bands .* Taps\.gain has 3"):
@@ -318,7 +318,7 @@ FULL = jv.Sensor(
 
 @pytest.mark.parametrize("curve", CURVES.values(), ids=list(CURVES))
 @pytest.mark.sweep
-def test_a_sensor_file_holds_them_and_their_draws(tmp_path, curve):
+def test_a_sensor_file_contains_them_and_their_draws(tmp_path, curve):
     sensor = replace(FULL, nonlinearity=curve)
     shifts = 1e-4 * jnp.arange(5.0)
     draws = jax.vmap(lambda shift: jax.tree.map(lambda x: x + shift, sensor))(shifts)
@@ -334,8 +334,8 @@ def test_a_sensor_file_holds_them_and_their_draws(tmp_path, curve):
     assert len(np.unique(means[:, 0, 0, 0])) == 5
 
 
-def test_what_is_absent_leaves_the_program_as_it_was():
-    """The jaxpr of a sensor with none of them holds no operation of theirs."""
+def test_absent_effects_do_not_change_the_program():
+    """The jaxpr of a sensor without them has no operation of theirs."""
     plain = jv.Sensor(read_noise=2.0, gain=0.5)
     picture = jnp.ones((4, 4, 1))
 

@@ -1,5 +1,5 @@
-"""Gradients through draws: unbiased where that is promised, and what the others leave out, against
-closed forms and sums over the Poisson distribution, within 3 standard errors."""
+"""Tests gradients through random draws: unbiased where promised, and otherwise with the stated
+bias, against closed forms and sums over the Poisson distribution, within 3 standard errors."""
 
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from jaxvision.sensor.expectation import ESTIMATORS
 PAGE = Path(__file__).parents[2] / "docs" / "concepts" / "gradients_of_noise.md"
 KEY, DIE = jax.random.split(jax.random.key(3))
 POISSON = scene.PoissonShotNoise()
-# f and its slope along the count
+# f and its slope by the count
 FUNCTIONS = {
     "N²": (lambda n: n**2, lambda n: 2 * n),
     "N³": (lambda n: n**3, lambda n: 3 * n**2),
@@ -32,7 +32,7 @@ def within(found, true, errors=3):
 
 
 def of_one_draw(name, m):
-    """The true slope, and (bias, standard deviation) of each estimator."""
+    """Return the true derivative, and (bias, standard deviation) of each estimator."""
     f, along = FUNCTIONS[name]
     n = np.arange(m + 40 * np.sqrt(m) + 60)
     p = stats.poisson.pmf(n, m)
@@ -48,7 +48,7 @@ def test_closed_forms():
             np.testing.assert_allclose(of_one_draw(name, m)[0], slope, rtol=1e-12)
 
 
-def test_the_page_has_these_numbers():
+def test_the_page_states_these_numbers():
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text().split("\n")
     ]
@@ -64,7 +64,7 @@ def test_the_page_has_these_numbers():
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_estimators_have_the_bias_and_variance_of_the_page(estimator):
+def test_estimators_have_the_stated_bias_and_variance(estimator):
     means = jnp.asarray([0.01, 0.5, 10.0])
     draws = 2 if estimator == "score" else 1
 
@@ -80,16 +80,17 @@ def test_estimators_have_the_bias_and_variance_of_the_page(estimator):
             true, by = of_one_draw(name, m)
             bias, deviation = by[number]
             if name == "empty" and m > 1:
-                continue  # hardly drawn
+                continue  # rarely drawn
             within(found[:, k], true + bias)
-            # a baseline of one other draw: (f - f')(N - N') / (2 m), twice the noise of f
+            # the baseline is one other draw: (f - f')(N - N') / (2 m), with twice the noise of f
             if estimator != "score":
                 np.testing.assert_allclose(found[:, k].std(), deviation, rtol=0.2)
 
 
 @pytest.mark.slow
-def test_score_of_a_whole_picture_and_what_a_function_closes_over():
-    """The chance that all pixels of a row are empty, exp(-sum m), and exp(-b) in f = exp(-b N)."""
+def test_score_estimates_of_a_whole_picture_and_of_closed_over_values():
+    """The functions are the probability that all pixels of a row are empty, exp(-sum m), and the
+    mean of f = exp(-b N) by b."""
     m = jnp.asarray([0.3, 0.1, 0.5])
 
     def all_empty(n):
@@ -122,15 +123,15 @@ def test_wrong_estimators_and_shapes_are_refused():
 
 # ------------------------------------------------ readings and defects
 
-NUMBERS = {  # f and its steps' places; f' is 0 between them
+NUMBERS = {  # f and its steps; f' is 0 between steps
     "number": (lambda x: jnp.clip(jnp.round(x), 0, 3), (0.5, 1.5, 2.5)),
     "number²": (lambda x: jnp.clip(jnp.round(x), 0, 3) ** 2, (0.5, 1.5, 2.5)),
 }
 
 
 def of_one_reading(name, mean, rms):
-    """The true slopes by mean and rms, and for each the (bias, standard deviation) of the
-    estimators of one draw."""
+    """Return the true derivatives by mean and rms, and (bias, standard deviation) of each estimator
+    for one draw."""
     f, steps = NUMBERS[name]
     f = partial(lambda g, x: np.asarray(g(jnp.asarray(x))), f)
     z = [(step - mean) / rms for step in steps]
@@ -144,7 +145,7 @@ def of_one_reading(name, mean, rms):
     deep = np.concatenate([-deep, deep])
     here = f(mean + rms * draw)
     apart = (f(mean + rms * flat) - f(mean - rms * flat)) / (rms * np.sqrt(2 * np.pi))
-    aside = f(mean + rms * deep)  # drawn apart from `here`
+    aside = f(mean + rms * deep)  # independent of `here`
     measured = (apart.mean(), (aside.mean() - here.mean()) / rms)
     deviations = (apart.std(), np.hypot(aside.std(), here.std()) / rms)
     scores = [(here - here.mean()) * weight / rms for weight in (draw, draw**2 - 1)]
@@ -188,7 +189,7 @@ def test_estimators_of_readings_that_are_rounded_and_clipped(estimator):
 
 
 @pytest.mark.slow
-def test_the_page_has_these_numbers_of_readings():
+def test_the_page_states_these_numbers_for_readings():
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text().split("\n")
     ]
@@ -202,8 +203,8 @@ def test_the_page_has_these_numbers_of_readings():
 
 
 @pytest.mark.slow
-def test_clipping_alone_has_the_slopes_of_its_closed_form():
-    """Of max(X, 0): Phi(m / s) and phi(m / s), by every estimator."""
+def test_clipping_alone_has_the_derivatives_of_its_closed_form():
+    """For max(X, 0) they are Phi(m / s) and phi(m / s), by every estimator."""
     mean, rms = 0.3, 0.5
     wanted = (stats.norm.cdf(mean / rms), stats.norm.pdf(mean / rms))
     for estimator in ESTIMATORS:
@@ -219,8 +220,9 @@ def test_clipping_alone_has_the_slopes_of_its_closed_form():
             within(slope, true)
 
 
-def test_score_of_a_whole_picture_of_readings_and_of_defects():
-    """The chance that all three readings are above 0, and that no pixel of three is dead."""
+def test_score_estimates_of_pictures_of_readings_and_defects():
+    """The functions are the probability that all three readings are above 0, and that none of three
+    pixels is dead."""
     mean, chance = jnp.asarray([0.2, 0.5, 1.0]), jnp.asarray([0.1, 0.3, 0.2])
 
     def all_above(m, key):
@@ -244,9 +246,9 @@ def test_score_of_a_whole_picture_of_readings_and_of_defects():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_defects_by_their_chance(estimator):
-    """E[f] = p f(1) + (1 - p) f(0): first and second moments of a pixel of 100 that is dead or not,
-    and of one that glows."""
+def test_derivatives_by_the_probability_of_defects(estimator):
+    """E[f] = p f(1) + (1 - p) f(0), for first and second moments of a pixel of 100 that may be
+    dead, and of a hot one."""
     pixels = 40_000
     for chance in (1e-3, 0.2):
         for with_it, without in ((0.0, 100.0), (0.0, 1e4), (900.0, 100.0)):
@@ -271,7 +273,7 @@ def test_defects_by_their_chance(estimator):
 
 
 @pytest.mark.slow
-def test_no_noise_and_certain_defects_have_finite_slopes():
+def test_no_noise_and_certain_defects_have_finite_derivatives():
     for estimator in ESTIMATORS:
         reading = partial(expected_of_reading, KEY, function=jnp.round, estimator=estimator)
         defect = partial(expected_of_defect, KEY, function=lambda b: 3 * b, estimator=estimator)
@@ -286,7 +288,7 @@ LEVELS = jnp.asarray([0.01, 0.5, 2.0, 100.0])
 
 
 def by_level(sensor, *, key=KEY):
-    """Raw numbers of many pixels at each level, and their slopes by it."""
+    """Return raw numbers of many pixels at each level, and their derivatives by it."""
     light = jnp.broadcast_to(LEVELS[:, None, None, None], (len(LEVELS), 200, 200, 1))
     shoot = jax.jit(
         lambda x: jax.jvp(lambda y: raw_image(key, sensor, y), (x,), (jnp.ones_like(x),))
@@ -296,7 +298,7 @@ def by_level(sensor, *, key=KEY):
 
 @pytest.mark.slow
 def test_raw_numbers_have_unbiased_first_and_second_moments():
-    """Y = K (N + read) + offset + rounding: slopes K and K^2 + 2 K E[Y]."""
+    """For Y = K (N + read) + offset + rounding, the derivatives are K and K^2 + 2 K E[Y]."""
     sensor = Sensor(shot_noise=POISSON, read_noise=3.0, gain=0.5, offset=20.0, bits=12)
     number, slope = by_level(sensor)
     for k, m in enumerate(np.asarray(LEVELS)):
@@ -304,8 +306,8 @@ def test_raw_numbers_have_unbiased_first_and_second_moments():
         within(2 * number[k] * slope[k], 0.25 + 2 * 0.5 * (20 + 0.5 * m))
 
 
-def test_a_full_well_cuts_counts_with_the_bias_that_is_stated():
-    """Of Poisson counts, by the sum of the slope that each count has."""
+def test_a_full_well_clips_counts_with_the_stated_bias():
+    """The reference sums the derivative of each Poisson count."""
     well = 100.0
     number, slope = by_level(Sensor(shot_noise=POISSON, full_well=well))
     for k, m in enumerate(np.asarray(LEVELS)):
@@ -320,8 +322,8 @@ def test_a_full_well_cuts_counts_with_the_bias_that_is_stated():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("well", "most"), [(5, 0.037), (10, 0.014), (100, 9e-4)])
-def test_a_full_well_biases_the_slope_of_mean_squares_as_stated(well, most):
-    """Of squares of Poisson counts up to the mean that fills the well."""
+def test_a_full_well_biases_derivatives_of_mean_squares_as_stated(well, most):
+    """The squares are of Poisson counts, for means up to the full well."""
     for m in np.linspace(0.01, well, 60):
         bias = -(well - m) * stats.poisson.pmf(well - 1, m) / 2
         n = np.arange(400.0)
@@ -342,8 +344,8 @@ def test_a_full_well_biases_the_slope_of_mean_squares_as_stated(well, most):
 
 
 @pytest.mark.parametrize(("rms", "most"), [(0.5, 0.0144), (1.0, 6e-9)])
-def test_rounding_leaves_out_what_is_stated(rms, most):
-    """The mean of rounded Gaussian numbers, summed, has a slope that is 1 but for that."""
+def test_the_error_of_derivatives_through_rounding_is_the_stated_one(rms, most):
+    """The mean of rounded Gaussian numbers has a derivative of 1, up to the stated error."""
     n = np.arange(-30, 31)
     for at in np.linspace(0, 0.5, 6):
         true = stats.norm.pdf(n + 0.5, at, rms).sum()  # d/d mu of sum n P(n)
@@ -354,8 +356,8 @@ def test_rounding_leaves_out_what_is_stated(rms, most):
     np.testing.assert_array_equal(slope, 1)
 
 
-def test_defects_have_slopes_by_what_they_draw_from():
-    """Hot pixels of fraction p and mean r: E[x] = p r, E[x^2] = 2 p r^2."""
+def test_defects_have_derivatives_by_their_parameters():
+    """For hot pixels of fraction p and mean r: E[x] = p r and E[x^2] = 2 p r^2."""
     shape = (300, 300, 1)
 
     def hot(p, r):
@@ -390,7 +392,7 @@ def test_charge_transfer_has_unbiased_moments():
         sensor = Sensor(
             shot_noise=POISSON, full_well=1e6, charge_transfer=scene.ChargeTransfer(eps)
         )
-        light = jnp.zeros((2, 1, 1)).at[0].set(m)  # what stays behind goes to the second row
+        light = jnp.zeros((2, 1, 1)).at[0].set(m)  # the lag goes to the second row
         return jax.vmap(lambda key: raw_image(key, sensor, light)[0, 0, 0])(frames)
 
     x, slope = jax.jit(lambda eps: jax.jvp(read, (eps,), (jnp.ones(()),)))(jnp.asarray(eps))
@@ -398,7 +400,7 @@ def test_charge_transfer_has_unbiased_moments():
     within(2 * x * slope, -m * (1 + 2 * m * (1 - eps)))  # E[x^2] = E[x] + E[x]^2
 
 
-def test_shares_of_tails_and_traps_have_no_slope():
+def test_shares_of_tails_and_traps_have_no_derivative():
     def read(share):
         sensor = Sensor(
             read_noise=scene.HeavyTailedReadNoise(1.0, 9.0, share),

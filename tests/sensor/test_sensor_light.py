@@ -1,7 +1,7 @@
-"""Light and charge between pixels: aperture, filters, crosstalk, smear, shutter, CCD, temperature.
+"""Tests light and charge between pixels: aperture, filters, crosstalk, smear, shutter, CCD,
+temperature.
 
-Oracles: naive NumPy loops, closed forms, conservation of charge.
-"""
+The references are naive NumPy loops, closed forms and conservation of charge."""
 
 import jax
 import jax.numpy as jnp
@@ -38,10 +38,9 @@ IMAGE = RNG.uniform(10, 1000, size=(7, 5, 2))
 
 @pytest.mark.parametrize("fill", [1 / 16, 1 / 4, 1.0])
 @pytest.mark.parametrize("frequency", [0.1, 0.4, 0.7])
-def test_contrast_of_a_grating_is_the_sinc(fill, frequency):
-    """The aperture is a whole number of cells wide and each cell holds the grating's own mean, so
-    sampling loses nothing.
-    """
+def test_contrast_of_a_grating_is_a_sinc(fill, frequency):
+    """The aperture is a whole number of cells wide, and each cell has the grating's own mean, so
+    sampling is exact."""
     n, pixels = 16, 100
     x = (np.arange(n * pixels) + 0.5) / n
     aperture = s.PixelAperture(fill, oversampling=n)
@@ -57,8 +56,8 @@ def test_contrast_of_a_grating_is_the_sinc(fill, frequency):
     )
 
 
-def test_a_zone_plate_aliases_less_the_larger_the_fill_factor():
-    """Up to 0.9 cycles per pixel: frequencies beyond Nyquist return, attenuated by the sinc."""
+def test_a_zone_plate_aliases_less_with_a_larger_fill_factor():
+    """At up to 0.9 cycles per pixel, frequencies beyond Nyquist alias, attenuated by the sinc."""
     n, pixels = 8, 64
     x = (np.arange(n * pixels) + 0.5) / n
     radius = x[:, None] ** 2 + x[None] ** 2
@@ -72,7 +71,7 @@ def test_a_zone_plate_aliases_less_the_larger_the_fill_factor():
     assert contrast[0] > 1.3 * contrast[1] > 1.3 * 1.3 * contrast[2]
 
 
-def test_a_microlens_widens_the_aperture_and_light_is_in_proportion():
+def test_a_microlens_widens_the_aperture_and_light_is_proportional():
     assert float(light_share(s.PixelAperture(0.4))) == pytest.approx(0.4)
     with_lens = s.PixelAperture(0.4, microlens=0.5)
     np.testing.assert_allclose(light_share(with_lens), 0.7)
@@ -82,7 +81,7 @@ def test_a_microlens_widens_the_aperture_and_light_is_in_proportion():
     np.testing.assert_allclose(mean_photoelectrons(sensor, flat), 2.1)
 
 
-def test_a_picture_that_is_no_whole_number_of_pixels_is_refused():
+def test_a_picture_without_a_whole_number_of_pixels_is_refused():
     with pytest.raises(ValueError, match="multiple of 4 rows and columns"):
         pixel_means(jnp.ones((8, 6, 1)), s.PixelAperture(1.0, oversampling=4))
 
@@ -92,7 +91,7 @@ def test_a_picture_that_is_no_whole_number_of_pixels_is_refused():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("phase", ["RGGB", "BGGR", "GRBG", "GBRG"])
-def test_each_pixel_counts_what_its_filter_lets_through(phase):
+def test_each_pixel_counts_the_light_through_its_filter(phase):
     transmission = np.array([[0.5, 0.1], [0.2, 0.3], [0.05, 0.4]])
     colours = s.ColourFilter(transmission, pattern=bayer(phase))
     sensor = s.Sensor(colour_filter=colours, infrared_cut=[1.0, 0.5], exposure_time=2.0)
@@ -117,7 +116,7 @@ def test_patterns_that_do_not_tile_are_refused():
 
 
 def test_a_larger_chip_gathers_more_light_at_equal_field_of_view():
-    """Pitch and focal length doubled at the same f-number."""
+    """Pitch and focal length are doubled at the same f-number."""
     electrons = []
     for pitch in (3e-6, 6e-6):
         conversion = s.PhotonConversion(5.5e-7, pitch**2)
@@ -128,7 +127,7 @@ def test_a_larger_chip_gathers_more_light_at_equal_field_of_view():
 # ------------------------------------------------ neighbours
 
 
-def test_crosstalk_against_a_loop_and_nothing_is_lost():
+def test_crosstalk_equals_a_loop_and_conserves_charge():
     share = 0.07
     expected = np.zeros_like(IMAGE)
     for i, j in np.ndindex(7, 5):
@@ -152,7 +151,7 @@ def test_smear_adds_the_rest_of_the_column():
 
 
 def overflow(column, well, spill):
-    """Electron parcels moved down and then up, one well after the other."""
+    """Move electron parcels down and then up, one well after the other."""
     level = np.minimum(column, well)
     half = spill * np.maximum(column - well, 0) / 2
     for step in (1, -1):
@@ -167,7 +166,7 @@ def overflow(column, well, spill):
 
 
 @pytest.mark.parametrize("spill", [1.0, 0.6, 0.0])
-def test_blooming_against_parcels_walked_by_hand(spill):
+def test_blooming_equals_parcels_moved_by_hand(spill):
     well = 100.0
     columns = np.zeros((30, 4))
     columns[12, 0] = 730.0
@@ -180,7 +179,7 @@ def test_blooming_against_parcels_walked_by_hand(spill):
     )
     np.testing.assert_allclose(got[..., 0], expected, rtol=1e-12, atol=1e-9)
     assert got.max() <= well
-    if spill == 1:  # electrons are lost at the ends alone
+    if spill == 1:  # electrons leave at the ends only
         np.testing.assert_allclose(got[:, 0].sum(), 730)
         np.testing.assert_array_equal(np.flatnonzero(got[:, 0, 0] > 0), np.arange(8, 17))
     if spill == 0:
@@ -188,7 +187,8 @@ def test_blooming_against_parcels_walked_by_hand(spill):
 
 
 def clocked(column, inefficiency):
-    """The charge read out, one clock cycle after the other: each packet leaves a share behind."""
+    """Return the charge read out, one clock cycle after the other, where each packet leaves a share
+    behind."""
     wells, read = column.copy(), []
     for _ in column:
         kept = inefficiency * wells
@@ -210,7 +210,8 @@ def test_charge_transfer_against_a_clocked_register(inefficiency):
 
 @pytest.mark.slow
 def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
-    """The rest of the negative binomial, by scipy: no charge of the packet is lost."""
+    """The remainder of the negative binomial, by SciPy, is in the last pixel, so no charge is
+    lost."""
     for inefficiency, rtol in ((0.01, 1e-9), (1e-3, 1e-7)):
         point = jnp.zeros((1100, 1, 1)).at[1000].set(1.0)
         got = np.asarray(transferred(point, s.ChargeTransfer(inefficiency)))[1000:, 0, 0]
@@ -222,7 +223,7 @@ def test_a_trail_that_is_too_short_ends_in_its_last_pixel():
 
 @pytest.mark.slow
 def test_a_trail_longer_than_the_column_leaves_it():
-    """The charge that falls behind a row before the end is read after the frame."""
+    """Charge that is deferred beyond the last row is read after the frame."""
     got = transferred(jnp.ones((2, 1, 1)), s.ChargeTransfer(0.1, trail=8))[:, 0, 0]
     np.testing.assert_allclose(got, [0.9, 0.81 + 0.9 * 0.1], rtol=1e-12)
 
@@ -253,7 +254,7 @@ def test_a_full_well_blooms_before_it_is_transferred():
 
 @pytest.mark.slow
 def test_a_moving_edge_is_blurred_over_its_path():
-    """An edge that moves at 20 pixels per second for half a second."""
+    """An edge moves at 20 pixels per second for half a second."""
     x = jnp.arange(40.0)
 
     def picture(time):
@@ -271,8 +272,8 @@ def test_a_moving_edge_is_blurred_over_its_path():
 
 
 @pytest.mark.slow
-def test_a_rolling_shutter_skews_what_moves():
-    """20 pixels per second, 5 ms per row: each row sees the edge 0.1 pixels further."""
+def test_a_rolling_shutter_skews_moving_edges():
+    """At 20 pixels per second and 5 ms per row, each row sees the edge 0.1 pixels further."""
     x = jnp.arange(40.0)
 
     def picture(time):
@@ -289,13 +290,13 @@ def test_a_rolling_shutter_skews_what_moves():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("line_time", [None, 1e-3, 0.3])
-def test_slots_share_out_each_rows_exposure(line_time):
+def test_slots_divide_each_rows_exposure(line_time):
     shutter = None if line_time is None else s.RollingShutter(line_time)
     times, weights = exposure_slots(shutter, jnp.asarray(0.2), rows=9, slots=7)
     np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-12)
     assert (weights >= 0).all()
-    # the scene is seen in the middle of each slot; of slots longer than an exposure, the first and
-    # the last lie about those of the first and the last row
+    # The scene is seen in the middle of each slot. If slots are longer than an exposure, the first
+    # and the last are near those of the first and the last row.
     readout = (line_time or 0) * 8
     length = max((0.2 + readout) / 7, readout / 6)
     middle = np.arange(9) * (line_time or 0) + 0.1
@@ -307,15 +308,15 @@ def test_slots_share_out_each_rows_exposure(line_time):
 @pytest.mark.sweep("2.0-7", "45.0-7")
 @pytest.mark.parametrize("slots", [2, 3, 4, 7])
 @pytest.mark.parametrize("exposure", [2.0, pytest.param(12.0, marks=pytest.mark.slow), 45.0])
-def test_a_linear_ramp_is_averaged_exactly_however_slots_fall(slots, exposure):
-    """Rows 10 s apart: the mean of t over a row's exposure is the middle of it."""
+def test_a_linear_ramp_is_averaged_exactly_for_any_slots(slots, exposure):
+    """Rows are 10 s apart, and the mean of t over a row's exposure is its middle."""
     shutter, time = s.RollingShutter(10.0), jnp.asarray(exposure)
     seen = exposed(shutter, time, lambda t: t * jnp.ones((4, 1, 1)), rows=4, slots=slots)
     np.testing.assert_allclose(seen[:, 0, 0], 10 * np.arange(4) + exposure / 2, rtol=1e-6)
 
 
 @pytest.mark.slow
-def test_a_parabola_is_averaged_with_the_square_of_the_slots():
+def test_the_error_of_a_parabola_falls_with_the_square_of_the_slots():
     """The mean of t^2 over begin .. end is (end^3 - begin^3) / 3 / (end - begin)."""
     shutter, begin = s.RollingShutter(10.0), 10 * np.arange(4)
     true = ((begin + 2.0) ** 3 - begin**3) / 6
@@ -333,7 +334,8 @@ def test_a_parabola_is_averaged_with_the_square_of_the_slots():
 
 
 def test_dark_current_over_temperature():
-    """Doubling every 8 K; Arrhenius by hand at 0.56 eV: from 293 to 303 K, 2.08 times."""
+    """The rate doubles every 8 K, or follows Arrhenius' law: at 0.56 eV by a factor of 2.08 from
+    293 to 303 K."""
     doubling = s.DoublingDarkCurrent(10.0, 309.0, 293.0, 8.0)
     np.testing.assert_allclose(dark_rate(doubling), 40.0, rtol=1e-12)
     law = s.ArrheniusDarkCurrent(10.0, 303.0, 293.0, 0.56)
@@ -411,8 +413,8 @@ def test_a_traced_sensor_is_not_checked():
     np.testing.assert_allclose(jax.vmap(jax.jit(shoot))(gains, light)[:, 0], [5.0, -5.0])
 
 
-def test_iso_doubles_the_numbers_and_halves_the_exposure_that_fills_them():
-    """Saturation by ISO 12232: as many times the gain, as many times less light."""
+def test_iso_doubles_the_numbers_and_halves_the_exposure_at_saturation():
+    """By ISO 12232, saturation is reached at as many times less light as the gain is larger."""
     base = s.Sensor(gain=0.25, bits=12, offset=10.0)
     fast = set_iso(base, 800, base_iso=200)
     electrons = np.array([[[(4095 - 10) / 0.25]]])

@@ -1,4 +1,5 @@
-"""Mean and variance in closed form, against integrals and frames with every effect at once."""
+"""Tests mean and variance in closed form, against integrals and frames with every effect at
+once."""
 
 from dataclasses import replace
 
@@ -53,7 +54,7 @@ def test_clipped_gaussians_against_quadrature(mean, sigma):
 
 
 @pytest.mark.slow
-def test_without_noise_it_is_the_mean_that_is_clipped():
+def test_without_noise_the_mean_is_clipped():
     moments = Moments(jnp.asarray([-1.0, 5.0, 20.0]), jnp.zeros(3))
     got = censored(moments, low=jnp.asarray(0.0), high=jnp.asarray(10.0))
     np.testing.assert_array_equal(got.mean, [0, 5, 10])
@@ -62,8 +63,8 @@ def test_without_noise_it_is_the_mean_that_is_clipped():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_an_endless_well_clips_nothing(dtype):
-    """Values and gradients are those without a well."""
+def test_an_infinite_well_clips_nothing(dtype):
+    """Values and gradients equal those without a well."""
     light = jnp.asarray([1e-3, 10.0, 1e4], dtype)
     plain = s.Sensor(shot_noise=s.PoissonShotNoise(), read_noise=jnp.asarray(2.0, dtype))
     endless = replace(plain, full_well=jnp.asarray(np.inf, dtype))
@@ -80,7 +81,7 @@ def test_an_endless_well_clips_nothing(dtype):
 
 @pytest.fixture(scope="module")
 def frames():
-    """60 frames of each of 40 dies, (dies, frames, h, w), with every effect at once."""
+    """Return 60 frames of each of 40 dies, (dies, frames, h, w), with every effect at once."""
 
     def shoot(key, die):
         light = jnp.full((24, 32, 1), 40_000.0)
@@ -94,7 +95,7 @@ def frames():
 
 
 @pytest.mark.slow
-def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames):
+def test_all_sources_together_have_the_formulas_mean_and_variances(frames):
     light = jnp.full((24, 32, 1), 40_000.0)
     middle = (slice(6, 18), slice(6, 26))
     mean = np.asarray(expected_signal(FULL, light))[..., 0][middle]
@@ -105,16 +106,15 @@ def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames)
     assert abs(sample.mean() / mean.mean() - 1) < 1e-3
     assert abs(sample.var(axis=1, ddof=1).mean() / temporal.mean() - 1) < 0.01
     measured = of_pixels.var(axis=0, ddof=1).mean() - temporal.mean() / 60
-    # 40 dies; pixels of a row or column share an offset: about 0.3 of it is known to 25 %
+    # 40 dies; pixels of a row or column share an offset, about 0.3 of the variance, known to 25 %
     assert abs(measured / pattern.mean() - 1) < 0.12
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("light", [0.0, 2000.0, 19_500.0, 20_500.0, 60_000.0])
 def test_clipping_by_well_and_converter(light):
-    """Against frames: black clipped at 0 DN, a full well 200 e- below the ADC's end, and light
-    beyond.
-    """
+    """The frames have black clipped at 0 DN, a full well 200 e- below the ADC's range, and light
+    beyond."""
     sensor = s.Sensor(
         exposure_time=0.01,
         shot_noise=s.FastPoissonShotNoise(),
@@ -133,8 +133,8 @@ def test_clipping_by_well_and_converter(light):
     assert abs(sample.var() / variance - 1) < 0.03
 
 
-def test_pattern_of_light_conversion_and_columns_is_the_variance_of_their_product():
-    """Each factor is 1 + d or 1 - d in half of the pixels, independent of the others."""
+def test_pattern_of_light_conversion_and_columns_has_the_variance_of_a_product():
+    """Each factor is 1 + d or 1 - d in half of the pixels, independently."""
     prnu, conversion, column = 0.3, 0.2, 0.25
     sensor = s.Sensor(prnu=prnu, conversion_prnu=conversion, column_prnu=column, gain=0.5)
     signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
@@ -143,7 +143,8 @@ def test_pattern_of_light_conversion_and_columns_is_the_variance_of_their_produc
 
 
 def by_counts(electrons, read_noise, gain, offset, bits, well=np.inf):
-    """Mean and variance of whole numbers: a sum over Poisson's counts and the ADC's codes."""
+    """Return mean and variance of integer numbers, by a sum over Poisson counts and the ADC's
+    codes."""
     counts = np.arange(0, electrons + 12 * np.sqrt(electrons) + 40)
     codes = np.arange(2.0**bits)
     ends = (codes - 0.5 - offset) / gain, (codes + 0.5 - offset) / gain
@@ -159,12 +160,12 @@ def by_counts(electrons, read_noise, gain, offset, bits, well=np.inf):
     ("electrons", "read_noise", "gain", "offset", "bits", "well", "error"),
     [
         (0.2, 0.1, 1.0, 0.0, 12, np.inf, 1e-5),
-        (0.01, 0.2, 1.0, 0.0, 1, np.inf, 1e-5),  # of a one-bit sensor
+        (0.01, 0.2, 1.0, 0.0, 1, np.inf, 1e-5),  # a one-bit sensor
         (2.0, 0.15, 1.0, 0.0, 1, np.inf, 1e-5),
         (10.0, 0.3, 1.0, 0.0, 3, np.inf, 1e-5),
         (19.9, 2.0, 0.7, 8.0, 10, np.inf, 1e-5),
         (5.0, 0.3, 1.0, 2.0, 8, 4.0, 1e-5),
-        (30.0, 2.0, 0.1, 0.3, 12, np.inf, 5e-3),  # as Gaussian
+        (30.0, 2.0, 0.1, 0.3, 12, np.inf, 5e-3),  # Gaussian
         (900.0, 3.0, 0.25, 8.0, 8, np.inf, 1e-3),
     ],
 )

@@ -1,8 +1,7 @@
-"""Each source of noise against its distribution, and the random numbers against published ones.
+"""Tests each source of noise against its distribution, and random numbers against published ones.
 
 Statistical bounds are 5 standard errors, with the fourth moment of the distribution under test, for
-one fixed seed.
-"""
+one fixed seed."""
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +38,7 @@ def flat(level, shape=SHAPE):
 
 
 def test_threefry_has_the_published_words():
-    """The known answers of Random123 (kat_vectors, threefry2x32 20)."""
+    """The known answers are Random123's (kat_vectors, threefry2x32 20)."""
     ones = 0xFFFFFFFF
     for key, counter, words in [
         ((0, 0), (0, 0), (0x6B200159, 0x99BA4EFE)),
@@ -71,7 +70,7 @@ def test_gaussian_quantiles_against_scipy(dtype):
 
 
 @pytest.mark.slow
-def test_draws_are_gaussian_and_independent_of_each_other():
+def test_draws_are_gaussian_and_independent():
     size = 400_000
     uses = [Frame.SHOT, Frame.READ, Die.DSNU]
     draws = [np.asarray(gaussian(KEY, use, (size,), jnp.float32), float) for use in uses[:2]]
@@ -93,20 +92,21 @@ STRATA = 2**23
 @pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.1, 1.0, 3.0, 9.99, 10.01, 30.0, 100.0, 1000.0, 1e5])
 def test_fast_counts_have_poissons_distribution(mean):
-    """All its quantiles: the total variation, the mean and the variance that `count` states."""
+    """All quantiles are compared: the total variation, and the mean and variance that `count`
+    states."""
     bits = jnp.arange(STRATA, dtype=jnp.uint32) * jnp.uint32(2**32 // STRATA)
     bits = bits + jnp.uint32(2**31 // STRATA)
     counts = np.asarray(invert(bits, jnp.full(STRATA, mean, jnp.float32)))
     np.testing.assert_array_equal(counts, np.round(counts))
     assert counts.min() >= 0
-    # an inverse distribution is monotone, but for the rounding of its argument
+    # an inverse distribution function is monotone, except for rounding of its argument
     assert np.diff(counts).max() <= 1
     assert (np.diff(counts) > 0).mean() < 1e-5
     share = np.bincount(counts.astype(int)) / STRATA
     numbers = np.arange(share.size)
     rounded = float(np.float32(mean))
     truth = stats.poisson.pmf(numbers, rounded)
-    resolution = np.count_nonzero(share) / STRATA / 2  # an edge lies within a stratum
+    resolution = np.count_nonzero(share) / STRATA / 2  # an edge is within a stratum
     variation = np.abs(share - truth).sum() / 2
     assert variation < (2e-6 if mean < 10 else 1.4e-4) + resolution
     average = share @ numbers
@@ -116,7 +116,7 @@ def test_fast_counts_have_poissons_distribution(mean):
 
 @pytest.mark.slow
 def test_fast_counts_of_one_photon_in_ten_million_frames():
-    """The chance of a photon keeps its own digits far below float32's rounding of 1."""
+    """The probability of a photon is accurate far below float32's rounding of 1."""
     mean = jnp.asarray(1e-7, jnp.float32)
     threshold = 1e-7 * 2**32
     words = jnp.asarray([int(0.99 * threshold), int(1.01 * threshold)], jnp.uint32)
@@ -127,7 +127,8 @@ def test_fast_counts_of_one_photon_in_ten_million_frames():
 @pytest.mark.parametrize("kind", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
 @pytest.mark.sweep
 def test_counts_have_poissons_moments_at_every_light_level(kind, dtype):
-    """From a hundredth of an electron to 2^31, within 5 standard errors of 300,000 draws."""
+    """From a hundredth of an electron to 2^31, moments are within 5 standard errors of 300,000
+    draws."""
     draw = jax.jit(lambda mean: count(KEY, mean, kind))
     for level in (0.01, 1.0, 9.99, 10.01, 200.0, 5e5, 1e6, 1e8, 2.0**31):
         mean = jnp.full((500, 600), level, dtype)
@@ -138,7 +139,7 @@ def test_counts_have_poissons_moments_at_every_light_level(kind, dtype):
 @pytest.mark.sweep("31.4", "2147483648")
 @pytest.mark.parametrize("mean", [10.0, 31.4, 1e3, 5e5, 2.0**24, 2.0**31])
 def test_acceptance_of_counts_is_poissons_probability(mean):
-    """In float32, to 5 standard deviations, where n ln mu - mu - ln n! would lose all digits."""
+    """In float32, to 5 standard deviations, n ln mu - mu - ln n! would lose all digits."""
     steps = np.unique(np.round(np.linspace(-5, 5, 201) * np.sqrt(mean)))
     steps = steps[steps >= -np.floor(mean)]
     part = mean - np.floor(mean)
@@ -148,8 +149,8 @@ def test_acceptance_of_counts_is_poissons_probability(mean):
     np.testing.assert_allclose(got, truth, rtol=5e-5)
 
 
-def test_exact_counts_reach_every_whole_number():
-    """Odd and even ones alike, at a mean where counts in float32 were multiples of 8."""
+def test_exact_counts_reach_every_integer():
+    """Odd and even counts occur, at a mean where counts in float32 would be multiples of 8."""
     drawn = np.asarray(count(KEY, jnp.full(20_000, 1e8, jnp.float64), s.PoissonShotNoise()))
     shares = np.bincount(drawn.astype(int) % 8, minlength=8) / drawn.size
     assert np.abs(shares - 1 / 8).max() < 5 * np.sqrt(7 / 64 / drawn.size)
@@ -157,8 +158,8 @@ def test_exact_counts_reach_every_whole_number():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
-def test_more_electrons_than_counts_are_right_for(kind):
-    """Refused where known, NaN where traced, and full where the well is full in any case."""
+def test_electrons_beyond_the_range_of_counts_are_refused_or_nan(kind):
+    """They are refused if known, NaN if traced, and full if they exceed the well."""
     means = jnp.asarray([1.0, 1e10, jnp.inf, jnp.nan])
     with pytest.raises(ValueError, match=r"at most 2147483648 electrons .* got 1e[+]10; give the"):
         count(KEY, means, kind)
@@ -176,7 +177,7 @@ KINDS = (s.FastPoissonShotNoise(), s.PoissonShotNoise(), s.GaussianShotNoise())
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: type(kind).__name__)
 def test_gradients_of_counts_are_unbiased_for_two_moments(kind):
     """d E[N] / d mean = 1 and d E[N^2] / d mean = 2 mean + 1, from one photon in a hundred pixels,
-    within 3 standard errors of the sample's own."""
+    within 3 standard errors of the sample."""
     means = jnp.asarray([0.01, 0.1, 0.5, 2.0, 9.0, 30.0, 1000.0])
 
     @jax.jit
@@ -208,8 +209,8 @@ def test_heavy_tailed_read_noise(level):
     assert kurtosis > 0.8 * (fourth / variance**2 - 3)
 
 
-def test_reset_noise_is_that_of_a_capacitor():
-    """sqrt(k T C) / q is 12.57 e- at 1 fF and 293.15 K, by hand; in float32 too."""
+def test_reset_noise_is_ktc_noise():
+    """sqrt(k T C) / q is 12.57 e- at 1 fF and 293.15 K, by hand, also in float32."""
     for dtype in (jnp.float32, jnp.float64):
         reset = s.ResetNoise(jnp.asarray(1e-15, dtype), jnp.asarray(293.15, dtype))
         rms = reset_noise_rms(reset)
@@ -230,18 +231,18 @@ def test_telegraph_noise_jumps_in_some_pixels(level):
     values = np.unique(np.round(frames[0] - 50, 9))
     np.testing.assert_allclose(values, [-level, 0, level], atol=1e-9)
     quiet = (frames[0] == 50) & (frames[1] == 50)
-    assert abs(quiet.mean() - (0.75 + 0.25 / 4)) < 0.01  # trapped pixels stay the same
+    assert abs(quiet.mean() - (0.75 + 0.25 / 4)) < 0.01  # trapped pixels keep their trap
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_row_noise_is_one_draw_a_row(level):
+def test_row_noise_is_one_draw_per_row(level):
     sensor = s.Sensor(row_noise=level)
     sample = np.asarray(shoot(KEY, sensor, flat(20.0, (40_000, 3, 1))))
     np.testing.assert_array_equal(sample[:, 1:], sample[:, :-1])
     check_moments(sample[:, 0], 20, level**2, 3 * level**4)
 
 
-def test_banding_hums_with_its_period_and_a_phase_of_its_own():
+def test_banding_has_its_period_and_a_random_phase():
     sensor = s.Sensor(banding=s.Banding(3.0, 20.0))
     frames = jax.vmap(lambda key: shoot(key, sensor, flat(0.0, (200, 2, 1))))(
         jax.random.split(KEY, 2000)
@@ -268,7 +269,7 @@ def test_banding_hums_with_its_period_and_a_phase_of_its_own():
     ],
 )
 def test_electrons_are_left_behind_one_by_one(noise, well):
-    """Against a binomial draw for each electron of each packet, in NumPy."""
+    """The reference draws a binomial for each electron of each packet in NumPy."""
     eps, rows, packets = 0.005, 80, 20_000
     seen = slice(70, rows)
     light = np.zeros(rows)
@@ -295,13 +296,13 @@ def test_electrons_are_left_behind_one_by_one(noise, well):
             read[row + behind] += stays
             left = left - stays
     means, variances = read[seen].mean(axis=1), read[seen].var(axis=1)
-    # both are samples: 5 standard errors of their difference
+    # both are samples; the limit is 5 standard errors of their difference
     assert (np.abs(got.mean(axis=1) - means) < 5 * np.sqrt(2 * variances / packets)).all()
     error = variances * np.sqrt(2 * (2 + 1 / means) / packets)
     assert (np.abs(got.var(axis=1) - variances) < 5 * error).all()
     formula = np.asarray(signal_variance(sensor, image[:, :1]))[seen, 0, 0]
     mean = np.asarray(expected_signal(sensor, image[:, :1]))[seen, 0, 0]
-    np.testing.assert_allclose(formula, mean, rtol=1e-12)  # short of clipping
+    np.testing.assert_allclose(formula, mean, rtol=1e-12)  # below clipping
     if well is None:
         assert abs(np.corrcoef(got[0], got[1])[0, 1]) < 5 / np.sqrt(packets)
         closed = clipped_moments(sensor, image[:, :1])
@@ -333,7 +334,7 @@ def test_column_amplifiers_differ():
 
 
 @pytest.mark.slow
-def test_conversion_gains_differ_and_scale_what_was_counted():
+def test_conversion_gains_differ_and_scale_the_counts():
     """Over frames, a pixel of gain g has mean g mu and variance g^2 mu."""
     sensor = s.Sensor(conversion_prnu=0.1, shot_noise=s.FastPoissonShotNoise())
     take = jax.vmap(lambda key: shoot(key, sensor, flat(400.0, (20, 25, 1)), die_key=DIE))
@@ -341,7 +342,7 @@ def test_conversion_gains_differ_and_scale_what_was_counted():
     gains = np.asarray(conversion_gains(DIE, jnp.asarray(0.1), shape=(20, 25, 1), dtype=float))
     gains = gains[..., 0]
     check_moments(gains, 1, 0.01, 3e-4)
-    # the mean of 400 frames is known to g, their variance to sqrt(2 / 400) of it
+    # the mean of 400 frames estimates g, and their variance has a relative error of sqrt(2 / 400)
     assert np.abs(frames.mean(axis=0) - 400 * gains).max() < 5 * gains.max()
     spread = frames.var(axis=0, ddof=1) / (400 * gains**2)
     assert abs(spread.mean() - 1) < 5 * np.sqrt(2 / 400 / gains.size)
@@ -351,7 +352,7 @@ def test_conversion_gains_differ_and_scale_what_was_counted():
 
 
 def test_dead_and_hot_pixels():
-    """Fractions and the exponential law; no pixel is both."""
+    """The fractions and the exponential distribution are right, and no pixel is both."""
     sensor = s.Sensor(dead_pixels=0.1, hot_pixels=s.HotPixels(0.05, 400.0), exposure_time=0.5)
     sample = np.asarray(shoot(None, sensor, flat(2000.0), die_key=DIE)).ravel()
     n = sample.size
@@ -363,12 +364,12 @@ def test_dead_and_hot_pixels():
     wanted = 1000**2 * 0.09 + (2 * 0.05 - 0.05**2) * 200**2
     formula = pattern_variance(sensor, flat(2000.0, (1, 1, 1)))
     np.testing.assert_allclose(formula, wanted, rtol=1e-12)
-    # dead and hot exclude each other, which the sum of independent variances does not know
+    # dead and hot pixels exclude each other, which the sum of independent variances neglects
     exact = wanted + 2 * 0.1 * 0.05 * 1000 * 200
     assert abs(sample.var() - exact) < 0.03 * exact
 
 
-def test_a_defect_stays_in_its_place():
+def test_a_defect_has_a_fixed_position():
     sensor = s.Sensor(hot_pixels=s.HotPixels(0.01, 50.0), shot_noise=s.FastPoissonShotNoise())
     frames = [np.asarray(shoot(key, sensor, flat(0.0), die_key=DIE)) for key in (KEY, DIE)]
     hot = [frame > 10 for frame in frames]

@@ -1,11 +1,10 @@
-"""Every float32 of a curve's domain, or one in `--stride`, against the oracle in float64; 60 digits
-look at the worst again. Killed, it goes on where it was.
+"""Measure every float32 of a curve's domain, or one in `--stride`, against the oracle in float64.
+The worst is checked with 60 digits.
 
     python tests/stability/every_float32.py [--only WORD] [--stride 1] [--kept FOLDER] [--record]
 
-Up to 2e9 numbers a function, 17e9 of all. `--record` writes what is found to `every_float32.json`,
-from which the table of errors is made.
-"""
+There are up to 2e9 numbers in a function, and 17e9 in all. A run that was killed continues.
+`--record` writes the results to `every_float32.json`, from which the table of errors is made."""
 
 import argparse
 import json
@@ -32,12 +31,12 @@ KEPT = ("numbers", "worst", "at", "mean", "not_finite")
 
 
 def recorded():
-    """{title: what `swept` found at every number}."""
+    """Return {title: what `swept` found at every number}."""
     return json.loads(RECORD.read_text()) if RECORD.exists() else {}
 
 
 def stretches(entry):
-    """(first, last, sign) of the bits of the sizes in a domain."""
+    """Return (first, last, sign) of the bits of the magnitudes in a domain."""
     low, high = entry.domain[0].low, entry.domain[0].high
     bits = [int(np.float32(abs(end)).view(np.int32)) for end in (low, high)]
     if low >= 0:
@@ -46,7 +45,7 @@ def stretches(entry):
 
 
 def numbers(entry, stride):
-    """The floats of a domain, block by block."""
+    """Yield the floats of a domain, block by block."""
     for first, last, sign in stretches(entry):
         for start in range(first, last + 1, BLOCK * stride):
             bits = np.arange(start, min(start + BLOCK * stride, last + 1), stride, np.int64)
@@ -54,7 +53,7 @@ def numbers(entry, stride):
 
 
 def swept(entry, *, stride=1, kept=None, say=lambda *_: None):
-    """{"worst", "at", "mean", "numbers", "not_finite"} of a curve."""
+    """Return {"worst", "at", "mean", "numbers", "not_finite"} of a curve."""
     program = jax.jit(jax.vmap(entry.call))
     state = {"block": 0, "worst": 0.0, "at": 0.0, "sum": 0.0, "numbers": 0, "not_finite": 0}
     if kept is not None and kept.exists():

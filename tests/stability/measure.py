@@ -1,9 +1,8 @@
-"""Errors of one function in units of the last place (ULP), over hard cases and over its domain.
+"""Measure errors of one function in ULP, at hard cases and over its domain.
 
-An ULP is the distance of neighbouring numbers of the result's precision at the TRUE value, never
-at a larger one beside it. A true value below the smallest normal number may come out as 0 (XLA
-flushes what is smaller), one above the largest as infinity.
-"""
+A ULP is the spacing of numbers in the result's precision at the TRUE value, never at a larger one
+next to it. A true value below the smallest normal number may be returned as 0 (XLA flushes
+subnormal numbers), and one above the largest as infinity."""
 
 import zlib
 from dataclasses import dataclass
@@ -15,16 +14,16 @@ import numpy as np
 from oracle_numbers import DIGITS, LONG, MP
 from registry.entry import Entry
 
-HARD = 32  # hard cases of a function, filled up from its domain: one size, one program
+HARD = 32  # hard cases of a function, padded from its domain to one size and one program
 MANY, SLOW = 1_000_000, 300  # points drawn in float32
-CHECKED = 3  # of the worst points 60 digits look again
+CHECKED = 3  # of the worst points, checked with 60 digits
 STEP = "1e-20"
-FINE = 120  # digits of slopes, of which a step of 1e-20 and results that hardly move take many
+FINE = 120  # digits for derivatives with steps of 1e-20
 
 
 @dataclass
 class Row:
-    """What was measured of one part of a function, in one precision."""
+    """The measurement of one part of a function in one precision."""
 
     entry: Entry
     part: str
@@ -60,7 +59,7 @@ def seed_of(entry):
 
 
 def drawn(entry, n, dtype):
-    """`n` points of the domain in a precision, hard cases first."""
+    """Return `n` points of the domain in a precision, hard cases first."""
     rng = np.random.default_rng(seed_of(entry))
     columns = [part.draw(rng, n) for part in entry.domain]
     for i, column in enumerate(columns):
@@ -70,7 +69,7 @@ def drawn(entry, n, dtype):
 
 
 def parts_of(entry, result):
-    """The results as a list of arrays over points."""
+    """Return the results as a list of arrays over points."""
     leaves = jax.tree.leaves(result)
     if len(leaves) == 1 and len(entry.parts) > 1:
         leaves = [leaves[0][..., i] for i in range(len(entry.parts))]
@@ -79,7 +78,7 @@ def parts_of(entry, result):
 
 
 def truth(entry, m, points):
-    """The oracle's results, one array a part."""
+    """Return the oracle's results, one array for each part."""
     with np.errstate(all="ignore"):
         result = entry.oracle(m, *(m.array(column) for column in points))
     result = result if isinstance(result, tuple) else (result,)
@@ -88,7 +87,7 @@ def truth(entry, m, points):
 
 
 def ulps(got, true, scale=1.0, turn=None):
-    """|got - true| in ULP of the dtype of `got`, over `scale`."""
+    """Return |got - true| in ULP of the dtype of `got`, divided by `scale`."""
     limits = np.finfo(got.dtype)
     exact = np.abs(true)
     error = np.abs((got.astype(true.dtype) if true.dtype != object else DIGITS.array(got)) - true)
@@ -104,7 +103,7 @@ def ulps(got, true, scale=1.0, turn=None):
 
 
 def conditions(entry, points, step=None):
-    """1 + sum |x df/dx| / |f| of each part, by differences of the oracle."""
+    """Return 1 + sum |x df/dx| / |f| of each part, by differences of the oracle."""
     m = DIGITS if entry.of_digits or step else LONG
     columns, h = [m.array(column) for column in points], m.c(step or "1e-6")
     values = truth(entry, m, points)
@@ -128,8 +127,8 @@ def conditions(entry, points, step=None):
 
 
 def slopes(entry, points):
-    """For each argument and part: its slopes (points, components), which are kinks, and the
-    largest f / x, by differences in many digits."""
+    """Yield for each argument and part its derivatives (points, components), which of them are
+    kinks, and the largest f / x, by differences in many digits."""
     h = DIGITS.c(STEP)
     columns = [DIGITS.array(column) for column in points]
     middle = truth(entry, DIGITS, points)
@@ -159,7 +158,8 @@ def slopes(entry, points):
 
 
 def gradient_errors(entry, points):
-    """(worst relative error of a slope, how many are not finite) in the precision of the points."""
+    """Return (worst relative error of a derivative, number of non-finite ones) in the precision of
+    the points."""
     program = jax.jit(jax.vmap(jax.jacrev(lambda *a: _flat(entry, a), argnums=_numbers(entry))))
     found = [np.asarray(g) for g in program(*map(jnp.asarray, points))]
     limits = np.finfo(points[0].dtype)
@@ -181,13 +181,13 @@ def _numbers(entry):
 
 
 def _flat(entry, arguments):
-    """All results of one point in one vector."""
+    """Return all results of one point in one vector."""
     leaves = jax.tree.leaves(entry.call(*arguments))
     return jnp.concatenate([leaf.reshape(-1) for leaf in leaves])[: len(entry.parts)]
 
 
 def errors_at(entry, got, points, m, step=None):
-    """Errors of each part at each point."""
+    """Return the errors of each part at each point."""
     scales = conditions(entry, points, step) if entry.conditioned else [1.0] * len(entry.parts)
     exact = truth(entry, m, points)
     turns = [entry.turn(m) if name == "hue" and entry.turn else None for name in entry.parts]
@@ -195,7 +195,8 @@ def errors_at(entry, got, points, m, step=None):
 
 
 def measured(entry, dtype, *, n=None, gradients=True, eager=False):
-    """A row for each part of a function: `n` points of its domain, hard cases among them."""
+    """Return a row for each part of a function, from `n` points of its domain with hard cases among
+    them."""
     dtype = np.dtype(dtype)
     if n is None:
         n = SLOW if entry.of_digits else MANY
@@ -250,7 +251,7 @@ def measured(entry, dtype, *, n=None, gradients=True, eager=False):
 
 
 def _apart(a, b):
-    """The largest difference of two results, in ULP of the second."""
+    """Return the largest difference of two results, in ULP of the second."""
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     with np.errstate(all="ignore"):
         units = np.abs(a.astype(np.float64) - b) / np.spacing(np.abs(b)).astype(np.float64)

@@ -1,10 +1,10 @@
-"""Numbers that oracles compute with: of 64 binary digits, of 60 decimal ones, or plain float64.
+"""Numbers for oracles: with 64 binary digits, with 60 decimal digits, or plain float64.
 
-An oracle is written once, as `oracle(m, *arguments)` over arrays, from the definition and apart
-from the library; `m` is one of `LONG`, `DIGITS` and `DOUBLE`. `LONG` serves long sweeps (it needs
-a machine whose long double has 64 binary digits), `DIGITS` hard cases and whatever a sweep finds
-worst, `DOUBLE` the sweeps over every float32. A constant is `m.c("0.055")`, never 0.055.
-"""
+An oracle is written once, as `oracle(m, *arguments)` over arrays, from the definition and
+independent of the library, where `m` is `LONG`, `DIGITS` or `DOUBLE`. `LONG` is for long sweeps (it
+needs a machine whose long double has 64 binary digits), `DIGITS` for hard cases and the worst
+points of a sweep, and `DOUBLE` for sweeps over every float32. A constant is `m.c("0.055")`, never
+0.055."""
 
 from fractions import Fraction
 
@@ -20,7 +20,7 @@ NAMES += ("log", "log1p", "maximum", "minimum", "power", "sin", "sqrt", "tan", "
 
 
 class Floats:
-    """Arrays of one of NumPy's floating types."""
+    """Arrays of one of NumPy's floating-point types."""
 
     def __init__(self, dtype):
         self.dtype = dtype
@@ -29,7 +29,7 @@ class Floats:
             setattr(self, name, getattr(np, name))
 
     def c(self, text):
-        """The number that the decimal text, or the fraction, says."""
+        """Return the number given as a decimal text or a fraction."""
         return (
             self.dtype(text.numerator) / self.dtype(text.denominator)
             if isinstance(text, Fraction)
@@ -70,7 +70,7 @@ class Digits:
 
     @staticmethod
     def c(text):
-        """The number that the decimal text, or the fraction, says."""
+        """Return the number given as a decimal text or a fraction."""
         if isinstance(text, Fraction):
             return MP.mpf(text.numerator) / text.denominator
         return MP.mpf(text)
@@ -87,5 +87,5 @@ LONG, DOUBLE, DIGITS = Floats(np.longdouble), Floats(np.float64), Digits()
 
 
 def special(function):
-    """A function of mpmath over arrays of `DIGITS`: `special(lambda x: MP.erfc(x))`."""
+    """Return a function of mpmath for arrays of `DIGITS`, as in `special(lambda x: MP.erfc(x))`."""
     return _each(function)

@@ -1,4 +1,4 @@
-"""Vectors in the numbers of `oracle_numbers`: columns of (points, 3)."""
+"""Vectors in the numbers of `oracle_numbers`, as columns of (points, 3)."""
 
 
 def inner(u, v):
@@ -14,12 +14,13 @@ def crossed(u, v):
 
 
 def angle(m, u, v):
-    """2 atan2(|u - v|, |u + v|) of vectors taken as of length 1."""
+    """Return 2 atan2(|u - v|, |u + v|) for vectors taken as unit vectors."""
     return 2 * m.arctan2(length(m, u - v), length(m, u + v))
 
 
 def log_cos(m, u, v):
-    """Of vectors taken as of length 1: 1 - |u - v|^2 / 2 below 60 degrees, else the product."""
+    """Return the log cosine of vectors taken as unit vectors: by 1 - |u - v|^2 / 2 below 60
+    degrees, and by the product otherwise."""
     lost = inner(u - v, u - v) / 2
     near = lost < m.c("0.5")
     straight = m.log1p(-m.where(near, lost, m.c("0")))

@@ -1,5 +1,5 @@
-"""The registry of floating-point errors: each public function that computes numbers beside an
-oracle, and for each other one what it is and which tests check it."""
+"""The registry of rounding errors: each public function of numbers with an oracle, and for all
+other functions their kind and the tests that check them."""
 
 import importlib
 import pkgutil
@@ -11,7 +11,7 @@ ROOMS = sorted({name for _, name, _ in pkgutil.iter_modules(__path__)} - NOT_ROO
 
 
 def entries_of(room: str) -> list[Entry]:
-    """The rows of one file of this folder."""
+    """Return the rows of one file of this folder."""
     return importlib.import_module(f"{__name__}.{room}").ENTRIES
 
 

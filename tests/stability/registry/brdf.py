@@ -1,4 +1,4 @@
-"""Reflectance: Fresnel, facets, lobes."""
+"""Oracles for reflectance: Fresnel, facets, lobes."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +25,7 @@ def unit(*v):
 
 
 def dielectric(m, c, eta):
-    """The amplitudes of Fresnel's equations."""
+    """Return the reflectance by the amplitudes of Fresnel's equations."""
     c = m.minimum(m.maximum(c, m.c("0")), m.c("1"))
     square = eta * eta - 1 + c * c
     passes = square > 0
@@ -35,7 +35,8 @@ def dielectric(m, c, eta):
 
 
 def conductor(m, c, eta, k):
-    """With (a + i b)^2 = (eta + i k)^2 - sin^2, Born and Wolf, section 14.2."""
+    """Return the reflectance with (a + i b)^2 = (eta + i k)^2 - sin^2, Born and Wolf, section
+    14.2."""
     c = m.minimum(m.maximum(c, m.c("0")), m.c("1"))
     s2 = 1 - c * c
     real, half = eta * eta - k * k - s2, eta * k
@@ -107,7 +108,7 @@ def blinn_factor(m, n):
 
 
 def one(function):
-    """A function of bands called with one."""
+    """Return a function of bands for a single band."""
     return lambda c, *bands: function(c, *(band[None] for band in bands))[0]
 
 

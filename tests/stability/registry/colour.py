@@ -1,5 +1,6 @@
-"""Colour spaces. Differences of nearly equal parts (a*, b*, u*, v* near grey, hues near a tie) are
-measured by their condition; lightness is not: it keeps its digits down to black."""
+"""Oracles for colour spaces. Differences of nearly equal parts (a*, b*, u*, v* near grey, hues near
+a discontinuity) are measured relative to their condition number. Lightness is not, because it is
+accurate down to black."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +23,7 @@ def lightness(m, t):
 
 
 def l_star(m, t):
-    """116 f - 16, which is 24389 / 27 t of a dark colour."""
+    """Return 116 f - 16, which is 24389 / 27 t for a dark colour."""
     dark = t <= m.c("216") / m.c("24389")
     return m.where(dark, t * m.c("24389") / 27, 116 * m.cbrt(t) - 16)
 
@@ -38,7 +39,7 @@ def lab(m, xyz):
 
 
 def back(m, f):
-    """t of f - 4/29."""
+    """Return t from f - 4/29."""
     root = f + m.c("4") / 29
     return m.where(root > m.c("6") / 29, root**3, 3 * (m.c("6") / 29) ** 2 * f)
 
@@ -147,7 +148,7 @@ def delta_76(m, a, b):
 
 
 def ciede2000(m, first, second):
-    """Sharma's equations in the order of the paper, angles in degrees."""
+    """Return Sharma's equations in the order of the paper, with angles in degrees."""
     degree = m.pi / 180
 
     def weight(c):
@@ -195,7 +196,7 @@ def from_xyy(m, c):
 
 
 class Sized:
-    """Colours times one size, however small or large."""
+    """Colours times a common factor, small or large."""
 
     def __str__(self):
         return f"{COLOURS} times {SIZES}"
@@ -210,7 +211,7 @@ OF_ANY_SIZE = ((DARKEST,), (DARKEST * 1e70,), (DARKEST * 1e7,), (np.array([0.2, 
 
 
 class Lab:
-    """Colours of any lightness, and of chroma above 1: near grey a hue is a draw."""
+    """Colours of any lightness, with chroma above 1: near grey the hue is undetermined."""
 
     def __str__(self):
         return "L* 1…100, chroma 1…120"

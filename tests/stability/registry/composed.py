@@ -1,5 +1,5 @@
-"""Functions made of others, measured in float32 against themselves in float64: how many ULP of the
-largest number of a result each may be off."""
+"""Functions composed of others, measured in float32 against float64, with the allowed error in ULP
+of the largest number of a result."""
 
 COMPOSED: dict[str, float] = {
     "brdf.evaluation.at_angles": 4,
@@ -13,7 +13,7 @@ COMPOSED: dict[str, float] = {
     "brdf._registry.specular": 4,
     "brdf._specular.transmitted": 0.5,
     "brdf.blinn.half_vector_integrals": 0.5,
-    "brdf.coated.albedo": 16,  # divides by R - S, a difference
+    "brdf.coated.albedo": 16,  # divides by the difference R - S
     "brdf.coated.evaluate": 4,
     "brdf.coated.pdf": 4,
     "brdf.coated.sample": 16,

@@ -1,4 +1,4 @@
-"""Curves of encoding and of tone, point operators, compositing."""
+"""Oracles for curves of encoding and tone, point operators and compositing."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,7 @@ from jaxvision.matting import compositing
 
 from .entry import FRACTION, RELATIVE, Columns, Entry, Range
 
-DARK = Range(1e-37, 1.0)  # every decade that float32 holds
+DARK = Range(1e-37, 1.0)  # every decade of float32
 TONES = Range(1e-30, 1e30)
 TABLE = np.array([0.0, 0.1, 0.15, 0.4, 1.0])
 
@@ -59,7 +59,7 @@ def lookup(m, x):
     return value
 
 
-TABLE_32 = TABLE.astype(np.float32)  # exact in both precisions
+TABLE_32 = TABLE.astype(np.float32)  # exact in float32, too
 
 
 def over(m, f, a, g, b):

@@ -1,8 +1,7 @@
-"""Public functions that have no row in the table: what they are, and the tests that check them.
+"""Public functions without a row in the table: their kind, and the tests that check them.
 
-In `jaxvision` every function whose numbers matter is named; of files, words, figures, commands and
-of the rooms of `fitting`, which calculate in float64, a pattern names all.
-"""
+In `jaxvision` every function whose numbers matter is named. For files, text, figures, commands and
+the modules of `fitting`, which compute in float64, patterns name all functions."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -36,7 +35,7 @@ class Elsewhere:
 
     Attributes:
         kind: why they have no row.
-        tests: files in `tests/`, without their ending, that check them.
+        tests: files in `tests/`, without suffix, that check them.
         names: one a line: `module: function function`, or a pattern.
     """
 
@@ -46,7 +45,7 @@ class Elsewhere:
 
     @property
     def rooms(self) -> str:
-        """The modules, or what several share."""
+        """Return the modules, or the package that several share."""
         found = sorted({name.rpartition(".")[0] for name in covered_names(self)})
         depth = {name: 2 if name.startswith("fitting") else 1 for name in found}
         heads = sorted({".".join(name.split(".")[: depth[name]]) for name in found})
@@ -60,7 +59,8 @@ def _public() -> dict[str, None]:
 
 
 def _named(group: Elsewhere) -> list[str]:
-    """The functions that fit a group; `ValueError` for a name that fits none."""
+    """Return the functions that match a group, or raise `ValueError` for a name that matches
+    none."""
     found: list[str] = []
     for line in filter(None, map(str.strip, group.names.split("\n"))):
         module, colon, names = line.partition(": ")
@@ -75,7 +75,8 @@ def _named(group: Elsewhere) -> list[str]:
 
 @cache
 def _by_group() -> dict[Elsewhere, tuple[str, ...]]:
-    """A function belongs to the first group that names it, if it has no row in the table."""
+    """Return the functions of each group. A function belongs to the first group that names it, if
+    it has no row in the table."""
     taken = {entry.name for entry in every_entry()} | set(COMPOSED)
     groups = {}
     for group in ELSEWHERE:
@@ -85,7 +86,7 @@ def _by_group() -> dict[Elsewhere, tuple[str, ...]]:
 
 
 def covered_names(group: Elsewhere) -> tuple[str, ...]:
-    """The functions of a group."""
+    """Return the functions of a group."""
     return _by_group()[group]
 
 

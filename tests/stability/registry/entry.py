@@ -1,4 +1,4 @@
-"""What the registry holds of one function, and how its arguments are drawn."""
+"""What the registry contains for one function, and how its arguments are drawn."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ class Range:
     """Numbers drawn between two ends.
 
     Attributes:
-        low, high: the ends, of which the sign counts where `log`.
-        log: uniform in the logarithm of the size.
+        low, high: the ends, with their sign if `log`.
+        log: uniform in the logarithm of the magnitude.
         signed: of either sign.
     """
 
@@ -49,8 +49,8 @@ class Columns:
 
 @dataclass(frozen=True)
 class Unit:
-    """Unit vectors, rounded where they are used; `above`: of positive z, half of them uniform in
-    its logarithm; `least`: of z from there on."""
+    """Unit vectors, rounded where they are used. `above`: with positive z, half of them with
+    uniform ln z. `least`: the smallest z."""
 
     above: bool = False
     least: float = 0.0
@@ -71,7 +71,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Whole:
-    """Whole numbers from `low` to `high`."""
+    """Integers from `low` to `high`."""
 
     low: int
     high: int
@@ -133,5 +133,5 @@ class Entry:
 
     @property
     def is_curve(self) -> bool:
-        """Whether it is a function of one variable."""
+        """Return whether it is a function of one variable."""
         return len(self.domain) == 1 and isinstance(self.domain[0], Range) and not self.of_digits

@@ -1,4 +1,4 @@
-"""Form factors, and polygons seen from a point."""
+"""Oracles for form factors, and polygons seen from a point."""
 
 import jax.numpy as jnp
 
@@ -17,7 +17,7 @@ SIDE = Range(0.05, 30.0)
 
 
 def parallel(m, width, height, gap):
-    """Howell, C-11."""
+    """Return the form factor of Howell, C-11."""
     x, y = width / gap, height / gap
     a, b = m.sqrt(1 + x * x), m.sqrt(1 + y * y)
     logs = m.log((1 + x * x) * (1 + y * y) / (1 + x * x + y * y)) / 2
@@ -26,7 +26,7 @@ def parallel(m, width, height, gap):
 
 
 def perpendicular(m, edge, width, other):
-    """Howell, C-14."""
+    """Return the form factor of Howell, C-14."""
     w, h = width / edge, other / edge
     w2, h2 = w * w, h * h
     s = w2 + h2
@@ -40,7 +40,8 @@ def perpendicular(m, edge, width, other):
 
 
 def above_corner(m, width, height, gap):
-    """F from an element to a parallel rectangle with a corner above it (Howell, B-3)."""
+    """Return the form factor of an element to a parallel rectangle with a corner above it (Howell,
+    B-3)."""
     x, y = width / gap, height / gap
     a, b = m.sqrt(1 + x * x), m.sqrt(1 + y * y)
     return (x / a * m.arctan(y / a) + y / b * m.arctan(x / b)) / (2 * m.pi)

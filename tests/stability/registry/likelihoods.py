@@ -1,4 +1,5 @@
-"""Likelihoods and transforms of `fitting`: float64, to 40 standard deviations in either tail."""
+"""Oracles for likelihoods and transforms of `fitting`, in float64, to 40 standard deviations in
+either tail."""
 
 import jax.numpy as jnp
 from oracle_numbers import MP, special
@@ -30,7 +31,7 @@ quantile = special(lambda p: _quantile(p))
 phi = special(lambda x: MP.ncdf(x))
 fewer = special(lambda n, x: MP.gammainc(max(n, 1), x, MP.inf, regularized=True) * (n > 0))
 more = special(lambda n, x: MP.gammainc(n, 0, x, regularized=True))
-AWAY = Whole(-30, 30)  # counts from the mean
+AWAY = Whole(-30, 30)  # distance of counts from the mean
 
 
 def _quantile(log_p):
@@ -39,7 +40,8 @@ def _quantile(log_p):
 
 
 def _many(function):
-    """Of `function(counts, mean)` one of the mean and of how far the counts are from it."""
+    """Return a function of the mean and the counts' distance from it, for `function(counts,
+    mean)`."""
     return lambda mean, away: function(jnp.maximum(_about(mean, away), 1), mean)
 
 
@@ -48,7 +50,8 @@ def _about(mean, away):
 
 
 def _counts(m, mean, away):
-    """At least one; steps of both, so that only the mean has a slope."""
+    """Return counts of at least one. They are steps in both arguments, so that only the mean has a
+    derivative."""
     return m.maximum(m.floor(mean) + m.floor(away + m.c("0.5")), 0 * mean + 1)
 
 
@@ -69,7 +72,7 @@ NOISE, REACH = 0.2, 5
 
 
 def _counted(mean):
-    """A sensor of two DN an electron, in the dtype of the mean."""
+    """Return a sensor of two DN per electron, in the dtype of the mean."""
     one = jnp.ones_like(mean)
     sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=NOISE * one, gain=2 * one)
     return SensorCounts(sensor, reach=REACH)
@@ -86,7 +89,8 @@ def code_deviate(mean, away):
 
 
 def _shares(m, mean, away):
-    """What lies in the interval of a code, below and above it: sums over electrons about it."""
+    """Return the probabilities in the interval of a code, below and above it, by sums over
+    electrons near it."""
     code = m.maximum(m.floor(mean) + m.floor(away + m.c("0.5")), 0 * mean)
     sums = [0 * mean, 0 * mean, 0 * mean]
     noise = m.c(str(NOISE))
