@@ -1,4 +1,4 @@
-"""Folders of simulated cameras, by NumPy alone."""
+"""Folders of simulated camera pictures, written with NumPy alone."""
 
 import numpy as np
 import tomli_w
@@ -7,7 +7,7 @@ from jaxvision.files.images import write_image
 
 
 def write_camera(folder, *, seed, gain=0.25, read_noise=3.0, levels=8, side=48, **camera):
-    """Flats and darks in pairs of a 12-bit camera, with a rig that lists them."""
+    """Write pairs of flats and darks of a 12-bit camera, with a rig file that lists them."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True)
     rig = {"camera": {"bits": 12, **camera}, "flat": [], "dark": []}

@@ -1,4 +1,4 @@
-"""What a traced program does, counted."""
+"""Count the operations of a traced program."""
 
 from collections import Counter
 
@@ -6,7 +6,7 @@ import jax
 
 
 def primitives(function, *arguments):
-    """How often each primitive stands in the program, inner programs included."""
+    """Count each primitive of the program, inner programs included."""
 
     def count(jaxpr):
         total = Counter(equation.primitive.name for equation in jaxpr.eqns)

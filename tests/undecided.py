@@ -1,8 +1,8 @@
 """Conditions that rounding may decide in two ways within one program.
 
 XLA may compute a comparison twice, with and without fused multiply-adds, so that `jnp.where(c, a /
-jnp.where(c, b, 1), 0)` disagrees with itself where c is met to the last digit. Here a program is
-run operation by operation, and each use of such a flag is given the other answer, one at a time.
+jnp.where(c, b, 1), 0)` is inconsistent where c is met to the last digit. Here a program is run
+operation by operation, and each use of such a flag gets the other answer, one at a time.
 """
 
 from itertools import product
@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what a call's parameters call its program
+_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names of the parameters that hold a call's program
 
 
 def _steps(closed, into, arguments):
-    """Appends (operation, inputs, outputs) of a program, those of its calls in their place."""
+    """Append (operation, inputs, outputs) of a program, with those of its calls in their place."""
     jaxpr, slots = closed.jaxpr, {}
     for variable, value in zip(jaxpr.constvars, closed.consts, strict=True):
         slots[variable] = ("constant", value)
@@ -41,7 +41,8 @@ def _steps(closed, into, arguments):
 
 
 def _run(steps, results, arguments, changed=None):
-    """The results; `changed`: (step, input) -> array that this use gets instead."""
+    """Return the results and all values. `changed`: (step, input) -> array that this use gets
+    instead."""
     values: dict = {("argument", i): x for i, x in enumerate(arguments)}
 
     def read(slot):
@@ -60,8 +61,8 @@ def _run(steps, results, arguments, changed=None):
 
 
 def moved(arguments, ulps):
-    """(the arguments, each moved by some units in the last place, in every combination of them,
-    along their first axis; the place of those that were not moved)."""
+    """Return the arguments, each moved by some units in the last place in every combination along
+    their first axis, and the index of those not moved."""
     ways = [*product(ulps, repeat=len(arguments))]
     steps = np.array(ways, np.float64).T.reshape(len(arguments), -1, *(1,) * arguments[0].ndim)
     stacks = [
@@ -72,8 +73,9 @@ def moved(arguments, ulps):
 
 
 def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
-    """(number of flags that these arguments decide to the last digit, sentences for their uses of
-    which the other answer gives a result beyond those of the neighbours, by `within` of them).
+    """Return (the number of flags that these arguments decide to the last digit, messages for uses
+    whose other answer gives a result outside those of the neighbours by more than `within` of
+    them).
 
     The neighbours are the arguments moved by a few units in the last place."""
     arguments = [jnp.asarray(x) for x in arguments]
@@ -98,7 +100,7 @@ def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
         for place, slot in enumerate(inputs)
         if slot[0] != "constant" and slot in flags
     ]
-    # as many uses at once as there are neighbours, whose operations are compiled already
+    # as many uses at once as there are neighbours, for which the operations are compiled already
     count, wrong = len(neighbours[0]), []
     for first in range(0, len(uses), count):
         part, others = uses[first : first + count], {}

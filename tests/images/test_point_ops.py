@@ -376,7 +376,7 @@ def test_curves_are_finite_keep_the_dtype_and_nan(dtype):
 
 
 def test_integer_codes_are_refused_as_colours(as_for_users):
-    """As codes they would wrap around, or round to 0."""
+    """Integer arithmetic would wrap around or round to 0."""
     codes = jnp.asarray([[[0, 118, 255]]], jnp.uint8)
     calls = [
         *(CURVES[name] for name in CURVES if name not in ("blend", "of the luminance")),

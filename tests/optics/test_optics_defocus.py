@@ -188,7 +188,7 @@ def test_each_band_of_a_chromatic_lens_has_its_own_focus():
 
 
 @pytest.mark.slow
-def test_impossible_records_are_refused():
+def test_invalid_defocus_is_refused():
     picture, depth = random_scene()
     with pytest.raises(ValueError, match="radius must be a whole number of at least 1, got 0"):
         optics.gather_defocus(ROUND, picture, depth, radius=0)

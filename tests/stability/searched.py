@@ -1,11 +1,11 @@
-"""A search for the worst float32 error of functions of several numbers: a hill climb in ULP space.
+"""Search for the worst float32 error of functions of several numbers by hill climbing in ULPs.
 
     python tests/stability/searched.py [--only WORD] [--record]
 
-It begins at the worst of 2e5 points that are drawn like those of the table, and moves them by
-random numbers of units in the last place, from 1 to 2^20, as long as the error grows. 60 digits
-look at the end again. `--record` writes what is larger than the table's own figure to
-`searched.json` and into the rows of `docs/errors.md`. It takes a few seconds a function.
+The search starts at the worst of 2e5 points, drawn as for the table, and moves them by random
+numbers of units in the last place, from 1 to 2^20, as long as the error grows. The error at the
+end is computed again with 60 digits. `--record` writes errors larger than those of the table to
+`searched.json` and into the rows of `docs/errors.md`. A function takes a few seconds.
 """
 
 import argparse
@@ -30,23 +30,24 @@ RECORD = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[2] / "docs" / "errors.md"
 BATCH, FIRST, ROUNDS, KEPT = 4096, 48, 80, 32
 FINE = "1e-15"  # relative step of the condition number at the end
-FARTHEST = 20  # largest step, a power of 2 of ULPs
+FARTHEST = 20  # largest step, a power of 2 in ULPs
 
 
 def recorded():
-    """{title of a row: {"worst", "at"}}."""
+    """Return the recorded errors, {title of a row: {"worst", "at"}}."""
     return json.loads(RECORD.read_text()) if RECORD.exists() else {}
 
 
 def is_searched(entry):
-    """Whether it has several arguments of kinds that can be moved, and a quick oracle."""
+    """Return whether a function has several arguments of kinds that can be moved, and a fast
+    oracle."""
     movable = all(isinstance(part, Range | Columns | Unit) for part in entry.domain)
     curve = len(entry.domain) == 1 and isinstance(entry.domain[0], Range)
     return movable and not curve and not entry.of_digits and "float32" in entry.precisions
 
 
 def moved(rng, column, part):
-    """A column of arguments, each moved with an even chance, within its domain."""
+    """Return a column of arguments, each moved with probability 1/2, within its domain."""
     size = np.exp2(rng.uniform(0, FARTHEST, column.shape))
     step = np.rint(size) * rng.choice([-1, 0, 0, 1], column.shape)
     bits = np.abs(column).view(np.int32) + step.astype(np.int64)
@@ -63,7 +64,7 @@ def moved(rng, column, part):
 
 
 def climbed(entry):
-    """{"worst", "at"} of each part of a function."""
+    """Return {"worst", "at"} of each part of a function."""
     rng = np.random.default_rng(seed_of(entry) + 1)
     program = jax.jit(jax.vmap(entry.call))
 
@@ -88,7 +89,7 @@ def climbed(entry):
                 for column, part in zip(best, entry.domain, strict=True)
             )
             found = errors(tried)[p]
-            for k in range(KEPT):  # each climbs by itself, so that they do not gather at one place
+            for k in range(KEPT):  # each separately, so that they do not all end at one place
                 own = np.flatnonzero(parents == k)
                 top = own[np.argmax(found[own])]
                 if found[top] > known[k]:
@@ -109,7 +110,7 @@ def title_of(entry, part):
 
 
 def marked(line, worst, bound):
-    """A row of the page with the searched figure, marked, and with the bound."""
+    """Return a row of the page with the searched error, marked, and the bound."""
     from table import number
 
     cells = line.strip("| ").split(" | ")

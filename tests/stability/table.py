@@ -5,10 +5,10 @@
 Each function of `registry/` that has an oracle is measured in float32 and float64: at its hard
 cases, and at points drawn from its domain (1e6 in float32, 300 where the oracle needs mpmath; a
 fifth of that in float64). The worst points are measured again with 60 digits. Compositions in
-float32 are compared with themselves in float64. A run takes about ten minutes of one core.
+float32 are compared with themselves in float64. A run takes about ten minutes on one core.
 `--compositions` adds the compositions that take seconds to compile. `--kept` stores the
-measurements, so that a killed run continues, and a checksum of all results, which must not depend
-on the number of threads.
+measurements, so that an interrupted run continues, and a checksum of all results, which must not
+depend on the number of threads.
 """
 
 import argparse
@@ -204,7 +204,7 @@ def line(title, rows):
     cells = [title + (" †" if one.entry.conditioned else "")]
     found = searched().get(title, {"worst": 0.0})
     for row in (narrow, wide):
-        # else the oracle's own digits show
+        # otherwise the error is that of the oracle's own digits
         known = row is not None and row.mean <= row.worst * (1 + 1e-9)
         cells += ["–" if row is None else number(row.worst), number(row.mean) if known else "–"]
     if narrow is not None and found["worst"] > narrow.worst:
@@ -218,10 +218,10 @@ def line(title, rows):
 
 
 class Kept:
-    """Results by name, in a folder or for this run alone.
+    """Results by name, stored in a folder or for this run alone.
 
     Attributes:
-        folder: of one file a name; None to keep nothing.
+        folder: where each result is a file; None to store nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -230,7 +230,8 @@ class Kept:
             folder.mkdir(parents=True, exist_ok=True)
 
     def of(self, name: str, measure):
-        """What was kept under a name, else what `measure()` gives, lists of plain numbers."""
+        """Return the result stored under a name, otherwise that of `measure()`, as lists of
+        numbers."""
         file = None if self.folder is None else self.folder / f"{zlib.crc32(name.encode())}.json"
         if file is not None and file.exists():
             return json.loads(file.read_text())
@@ -244,7 +245,7 @@ class Kept:
 
 
 def numbers_of(entry: Entry, dtype: str) -> list[dict]:
-    """The rows of a function in one precision, without the function."""
+    """Return the rows of a function in one precision, without the function."""
     rows = measured(entry, dtype, eager=dtype == entry.precisions[0])
     names = [field.name for field in fields(Row) if field.name != "entry"]
     return [{name: getattr(row, name) for name in names} for row in rows]

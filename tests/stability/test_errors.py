@@ -1,7 +1,7 @@
-"""Each public function stands in the registry of errors, and what is measured lies in its bound.
+"""Each public function is in the registry of errors, and its measured errors are within its bound.
 
-The default run takes each function's hard cases for some of them, and few numbers of every curve;
-`pytest -m slow` takes all. `table.py` writes the page, `every_float32.py` leaves no number out.
+The default run tests the hard cases of some functions and a few numbers of every curve; `pytest -m
+slow` takes all. `table.py` writes the page, `every_float32.py` takes every float32 number.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ import jaxvision
 
 ENTRIES = registry.every_entry()
 CURVES = [entry for entry in ENTRIES if entry.is_curve]
-STRIDE = 12  # of the functions the default run measures each so many
+STRIDE = 12  # the default run measures one function in so many
 
 
 def public():
@@ -28,7 +28,7 @@ def public():
 
 
 def owner(entry):
-    """The public function of a row, or the module that holds the record whose method it is."""
+    """Return the public function of a row, or the module of the record whose method it is."""
     parts = entry.name.split(".")
     method = next((i for i, part in enumerate(parts) if part[0].isupper()), None)
     return entry.name if method is None else ".".join(parts[:method])
@@ -42,7 +42,7 @@ def test_every_public_function_is_in_the_registry():
     assert not beside & set(COMPOSED)
 
 
-def test_the_registry_names_what_there_is(pytestconfig):
+def test_every_name_of_the_registry_exists(pytestconfig):
     names, held = public(), public() | set(records(fitting))
     modules = {name.rpartition(".")[0] for name in held}
     assert {owner(entry) for entry in ENTRIES} <= names | modules
@@ -66,43 +66,43 @@ def check(entry, dtype, n):
 
 
 @pytest.mark.parametrize("entry", ENTRIES[::STRIDE], ids=lambda e: e.title)
-def test_hard_cases(entry):
+def test_errors_at_hard_cases_are_within_bounds(entry):
     check(entry, np.dtype(entry.precisions[0]), HARD)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda e: e.title)
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_hard_cases_and_drawn_ones(entry, precision):
+def test_errors_at_hard_and_drawn_cases_are_within_bounds(entry, precision):
     if precision in entry.precisions:
         check(entry, np.dtype(precision), SLOW if entry.of_digits else 20_000)
 
 
 @pytest.mark.parametrize("entry", CURVES[:2], ids=lambda e: e.title)
-def test_one_float32_in_many(entry):
+def test_errors_of_curves_at_few_float32_numbers(entry):
     assert swept(entry, stride=20_011)["worst"] <= entry.bound
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", CURVES, ids=lambda e: e.title)
-def test_one_float32_in_hundreds(entry):
+def test_errors_of_curves_at_one_float32_in_hundreds(entry):
     found = swept(entry, stride=1009)
     assert found["worst"] <= entry.bound
     assert not found["not_finite"]
     every = recorded().get(entry.title)
-    if every is not None:  # of one processor; another may contract a product and a sum
+    if every is not None:  # of one processor; another may contract products and sums
         assert found["worst"] <= 1.1 * every["worst"] + 0.5
         assert every["worst"] <= entry.bound
 
 
-# Another processor, or another degree of optimisation, rounds at other places: without any, a few
-# are at 2.7 times the bounds of the table, which are those of its machine.
+# Another processor, or another level of optimisation, rounds at other places: without optimisation
+# a few errors are 2.7 times the bounds of the table, which hold for its machine.
 OTHERWISE_COMPILED = 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(COMPOSED))
-def test_compositions_in_float32(name):
+def test_errors_of_compositions_in_float32_are_within_bounds(name):
     of_largest, _, kept = widened(name, calls()[name])
     assert kept, "float32 does not stay float32"
     assert of_largest <= OTHERWISE_COMPILED * COMPOSED[name]

@@ -1,6 +1,7 @@
-"""The families of BRDFs where naive formulas break: grazing, opposite and coincident directions,
-roughness from 1e-4 to 1, exponents to a million; both precisions, values against 50 digits on the
-very floating-point inputs, gradients finite."""
+"""BRDFs where naive formulas fail: grazing, opposite and coincident directions, roughness from 1e-4
+to 1, exponents to a million. In both precisions, values are compared with 50-digit results for the
+same floating-point inputs, and gradients are finite.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -34,8 +35,8 @@ RNG = np.random.default_rng(23)
 
 
 def near_mirror(spread, count=24):
-    """Pairs whose half vectors lie about `spread` radians from the normal, from normal to grazing
-    incidence."""
+    """Return pairs whose half vectors lie about `spread` radians from the normal, from normal to
+    grazing incidence."""
     pairs = []
     while len(pairs) < count:
         theta = 0.02 + 1.54 * len(pairs) / (count - 1)
@@ -55,7 +56,7 @@ def half(wi, wo):
 
 
 def hidden(w, alpha, distribution):
-    """z Lambda of Heitz (2014)."""
+    """Return z Lambda of Heitz (2014)."""
     t = mp.hypot(alpha[0] * w[0], alpha[1] * w[1])
     a = w[2] / t
     if distribution == "ggx":
@@ -88,8 +89,9 @@ def torrance_sparrow(wi, wo, alpha, distribution, shadowing):
     ("distribution", "shadowing"), [("ggx", "smith"), ("beckmann", "smith"), ("ggx", "v-cavity")]
 )
 def test_torrance_sparrow_in_ulps(dtype, roughness, distribution, shadowing):
-    """From the two rounded directions to f_r; the exponential of a Beckmann surface magnifies
-    rounding by its own argument. (A half vector's angle by arccos is off by half at 1e-4.)"""
+    """Given the two rounded directions, f_r has an error of a few ulps; the exponential of a
+    Beckmann distribution magnifies rounding by its argument. (A half vector's angle by arccos would
+    be off by half at 1e-4.)"""
     alpha = roughness * np.array([1.0, 1.3])
     material = as_dtype(
         TorranceSparrow([0.0], [1.0], alpha, distribution=distribution, shadowing=shadowing),
@@ -108,8 +110,8 @@ def test_torrance_sparrow_in_ulps(dtype, roughness, distribution, shadowing):
 
 
 @both_precisions
-def test_masking_at_grazing_angles_in_ulps(dtype):
-    """z Lambda(w) down to z = 1e-7, where Lambda itself is 1e7."""
+def test_masking_at_grazing_angles(dtype):
+    """z Lambda(w) is right to a few eps down to z = 1e-7, where Lambda itself is 1e7."""
     alpha = jnp.asarray([0.1, 0.4], dtype)
     for z in (1e-7, 1e-4, 0.05, 0.5):
         w = jnp.asarray(np.array([0.6, 0.8, z]) / np.hypot(1, z), dtype)
@@ -123,8 +125,8 @@ def test_masking_at_grazing_angles_in_ulps(dtype):
 @pytest.mark.slow
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
-    """alpha cos(theta) down to 1e-9, where two rounded directions no longer tell the facet between
-    them: float32 keeps its digits all the same, for no half vector is computed from them."""
+    """Down to alpha cos(theta) of 1e-9, where two rounded directions no longer determine the facet
+    between them, float32 agrees with float64, since no half vector is computed from them."""
     cases = np.array([[1e-4, 1e-4], [1e-6, 0.01], [1e-5, 1e-4], [1e-3, 1e-6]], np.float32)
 
     def albedo(case):
@@ -143,7 +145,8 @@ def test_albedo_of_a_polished_surface_at_grazing_views(distribution):
 @pytest.mark.slow
 @pytest.mark.parametrize("record", [NormalisedPhong, NormalisedBlinn])
 def test_albedo_of_the_sharpest_lobes(record):
-    """Exponents to 1e7 in float32: k_s along the normal, where the horizon cuts nothing off."""
+    """At exponents up to 1e7 the float32 albedo is k_s along the normal, where the horizon cuts
+    nothing off."""
     exponents = np.array([0.0, 1.0, 1e3, 1e5, 1e6, 1e7], np.float32)
     cosines = np.array([1.0, 0.9, 0.1, 1e-3], np.float32)
 
@@ -166,7 +169,8 @@ def test_albedo_of_the_sharpest_lobes(record):
 @both_precisions
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_gradients_in_the_roughness_at_grazing_angles(dtype, distribution):
-    """A normal turned aside down to a cosine of 1e-7 over alphas from below 1e-6 to 10."""
+    """The gradient of the distribution for normals at cosines down to 1e-7, and alphas from below
+    1e-6 to 10, is right."""
     cosines = jnp.logspace(-7, 0, 29, dtype=dtype)
     alphas = jnp.logspace(-6.5, 1, 31, dtype=dtype)
 
@@ -202,7 +206,7 @@ def microfacets(**options):
     return [TorranceSparrow([0.1], [1.0], alpha, **options) for alpha in (0.0, 1e-4, 1.0)]
 
 
-# Materials of one structure, the extremes of each parameter.
+# Materials of one structure, at the extremes of each parameter.
 MATERIALS = {
     "lambert": [Lambert([0.3])],
     "mirror": [Mirror([0.9])],
@@ -250,7 +254,7 @@ EDGES = {
     [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in MATERIALS],
 )
 def test_all_five_functions_are_finite_at_every_edge(dtype, name):
-    """Values not negative, and gradients in the material and both directions finite."""
+    """Values are not negative, and the gradients by the material and both directions are finite."""
     materials = as_dtype(jax.tree.map(lambda *x: jnp.stack(x), *MATERIALS[name]), dtype)
     wi, wo = (jnp.asarray([pair[i] for pair in EDGES.values()], dtype) for i in (0, 1))
     corners = jnp.asarray(
@@ -290,8 +294,9 @@ def test_all_five_functions_are_finite_at_every_edge(dtype, name):
 
 @pytest.mark.slow
 @both_precisions
-def test_separation_of_degenerate_pictures_is_finite(dtype):
-    """Black, of one colour, along the illuminant, and negative by noise."""
+def test_reflectance_separation_of_degenerate_pictures_is_finite(dtype):
+    """Separation has finite results for pictures that are black, of one colour, along the
+    illuminant, or negative by noise."""
     light = jnp.asarray([1, 0.9, 0.7], dtype)
     rows = jnp.stack([0 * light, light, 1 - light, -light / 100])
 
@@ -316,8 +321,9 @@ def test_separation_of_degenerate_pictures_is_finite(dtype):
 
 
 @both_precisions
-def test_slopes_of_the_share_of_a_tiny_albedo(dtype):
-    """The square of 1e-30 is out of float32's range; the share of what is all there is is 1."""
+def test_gradient_of_the_share_of_a_tiny_albedo_is_finite(dtype):
+    """The square of 1e-30 underflows in float32; the specular share of a single lobe is still 1,
+    with a finite gradient."""
     up = jnp.asarray([0, 0, 1], dtype)
     zero, n = jnp.zeros(1, dtype), jnp.ones((), dtype)
 
@@ -331,8 +337,9 @@ def test_slopes_of_the_share_of_a_tiny_albedo(dtype):
 
 
 @both_precisions
-def test_slopes_of_planes_that_share_an_axis(dtype):
-    """Equal eigenvalues: of one plane twice, of none, and of a black picture."""
+def test_gradients_of_degenerate_illuminant_planes_are_finite(dtype):
+    """With equal eigenvalues, for one plane given twice, no plane, or a black picture, gradients
+    are finite."""
 
     def total(normals):
         colour, spread = illuminant_from_planes(normals)
@@ -346,7 +353,7 @@ def test_slopes_of_planes_that_share_an_axis(dtype):
     assert np.isfinite(slope).all()
 
 
-def test_slopes_of_planes_are_the_differences():
+def test_gradients_of_illuminant_planes_match_differences():
     normals = RNG.normal(size=(4, 3))
 
     def first(normals):

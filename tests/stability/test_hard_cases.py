@@ -1,8 +1,8 @@
-"""Each function at the edges where a naive formula breaks, in both precisions.
+"""Functions at inputs where a naive formula fails, in both precisions.
 
-Values against 50 digits on the very floating-point inputs, in units of the last place where the
-problem is well conditioned; otherwise the bound is the conditioning, written out. Gradients are
-finite everywhere.
+Values are compared with 50-digit results for the same floating-point inputs, in units of the last
+place where the problem is well conditioned; otherwise the bound is the conditioning, written out.
+Gradients are finite everywhere.
 """
 
 import jax
@@ -21,7 +21,7 @@ EYE = np.eye(3)
 
 
 def tilted(dtype, angle, around):
-    """Unit vector `angle` from `around`, rounded to `dtype`."""
+    """Return a unit vector at `angle` from `around`, rounded to `dtype`."""
     side = np.cross(around, RNG.normal(size=3))
     side /= np.linalg.norm(side)
     return jnp.asarray(np.cos(angle) * np.asarray(around) + np.sin(angle) * side, dtype)
@@ -32,8 +32,8 @@ def tilted(dtype, angle, around):
 
 @both_precisions
 def test_shading_with_exponent_a_million(dtype):
-    """Through the mirror direction: rounding it turns it by up to 2 eps, which the lobe magnifies
-    by n theta, relative. That is all that is lost."""
+    """Rounding turns the mirror direction by up to 2 eps, which the lobe magnifies by n theta,
+    relative; no more digits are lost."""
     n, kd, ks = 1e6, 0.1, 0.5
     values = []
     for _ in range(20):
@@ -80,9 +80,9 @@ def test_point_light_at_any_distance(dtype, distance):
 
 @pytest.mark.slow
 @both_precisions
-def test_a_picture_of_everything_awkward_has_finite_gradients(dtype):
-    """Coincident spheres, a light on a surface and one inside, a plane seen edge-on, a camera in
-    the plane: pixel rays that are tangent, parallel, and start on a surface."""
+def test_gradients_of_a_degenerate_scene_are_finite(dtype):
+    """The scene has coincident spheres, a light on a surface and one inside, a plane seen edge-on
+    and a camera in the plane, so that pixel rays are tangent, parallel, or start on a surface."""
     shapes = [
         jv.Sphere([0, 0, 4], 1),
         jv.Sphere([0, 0, 4], 1),

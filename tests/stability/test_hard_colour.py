@@ -1,7 +1,7 @@
 """Colour conversions where a naive formula loses digits: near greys, near black, large differences.
 
-Values against 50 digits for the same floating-point inputs, the error in units of the last place of
-the largest term; gradients finite.
+Values are compared with 50-digit results for the same floating-point inputs, with errors in units
+of the last place of the largest term; gradients are finite.
 """
 
 import jax
@@ -33,7 +33,8 @@ def hue(a, b):
 
 @both_precisions
 def test_edges_of_the_transfer_functions(dtype):
-    """NaN in each argument arrives; infinity and numbers below 0 are what the text says."""
+    """NaN in an argument gives NaN; infinities and negative numbers give what the docstrings
+    say."""
     edges = np.array([np.nan, np.inf, -np.inf, -1, 0], dtype)
     slope = float(np.array(12.92, dtype))
     encoded = jax.jit(srgb_encode)(edges)
@@ -55,8 +56,8 @@ def test_edges_of_the_transfer_functions(dtype):
 
 
 @both_precisions
-def test_hues_of_many_turns(dtype):
-    """Beyond the digits of the dtype every hue is a whole number of turns."""
+def test_huge_hues_are_whole_turns(dtype):
+    """A hue so large that the dtype has no digits below 1 is a whole number of turns."""
     for convert in (cs.hsv_to_rgb, cs.hsl_to_rgb):
         once, far = (jnp.asarray([hue, 0.5, 0.6], dtype) for hue in (0.0, 1e30))
         np.testing.assert_array_equal(convert(far), convert(once))
@@ -64,7 +65,8 @@ def test_hues_of_many_turns(dtype):
 
 @both_precisions
 def test_a_thousand_faint_layers(dtype):
-    """Coverage of n layers of alpha a is 1 - (1 - a)^n: rounding adds up to n eps / 2 at most."""
+    """The coverage of n layers of alpha a is 1 - (1 - a)^n; rounding adds up to n eps / 2 at
+    most."""
     alpha, n = 1e-3, 1000
     layer = jnp.asarray([alpha / 2, alpha], dtype)
     stacked = jax.lax.fori_loop(0, n, lambda _, below: over(layer, below), jnp.zeros(2, dtype))

@@ -1,5 +1,5 @@
-"""Development of dark, saturated, flat, steep or out-of-domain input: values against exact
-arithmetic or a limit, gradients finite, in both precisions.
+"""Development of dark, saturated, flat, steep or out-of-domain input, in both precisions: values
+are compared with exact arithmetic or a limit, and gradients are finite.
 """
 
 from fractions import Fraction
@@ -32,7 +32,8 @@ RNG = np.random.default_rng(23)
 
 
 def finite_gradients(f, *cases):
-    """Checks the gradients of the sum of f by each argument, in each case; compiled once."""
+    """Check that the gradients of the sum of f by each argument are finite, and yield them; compile
+    once."""
     compiled = jax.jit(jax.grad(lambda arguments: f(*arguments).sum()))
     for case in cases:
         gradients = compiled(case)
@@ -40,7 +41,7 @@ def finite_gradients(f, *cases):
         yield gradients
 
 
-# What Malvar's filters of 2004, figure 2, weigh, row by row in sixteenths.
+# The filters of Malvar et al. (2004), figure 2, row by row in sixteenths.
 MALVAR = {
     "green": "0 0 -2 0 0  0 0 4 0 0  -2 4 8 4 -2  0 0 4 0 0  0 0 -2 0 0",
     "along": "0 0 1 0 0  0 -2 0 -2 0  -2 8 10 8 -2  0 -2 0 -2 0  0 0 1 0 0",
@@ -50,17 +51,18 @@ MALVAR = {
 
 @both_precisions
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
-def test_malvar_in_fractions(dtype, scale):
-    """Within a few roundings of the largest term, whatever the unit."""
+def test_malvar_demosaicing_against_exact_fractions(dtype, scale):
+    """The result agrees with exact fractions within a few roundings of the largest term, in any
+    unit."""
     raw = jnp.asarray(scale * RNG.uniform(0.5, 1.5, size=(6, 6)), dtype)
     picture = np.asarray(demosaic_malvar(raw, bayer("RGGB")))
     numbers = np.vectorize(Fraction)(np.asarray(raw, np.float64))
     kernel = {k: np.array(v.split(), int).reshape(5, 5) for k, v in MALVAR.items()}
     cases = [
-        ((2, 2, 1), kernel["green"]),  # red pixel, green wanted
-        ((2, 2, 2), kernel["opposite"]),  # red pixel, blue wanted
-        ((2, 3, 0), kernel["along"]),  # green in a red row, red wanted
-        ((2, 3, 2), kernel["along"].T),  # and blue
+        ((2, 2, 1), kernel["green"]),  # green at a red pixel
+        ((2, 2, 2), kernel["opposite"]),  # blue at a red pixel
+        ((2, 3, 0), kernel["along"]),  # red at a green pixel of a red row
+        ((2, 3, 2), kernel["along"].T),  # blue there
     ]
     for (y, x, band), weights in cases:
         window = numbers[y - 2 : y + 3, x - 2 : x + 3]
@@ -75,7 +77,8 @@ def test_malvar_in_fractions(dtype, scale):
 @both_precisions
 @pytest.mark.parametrize("method", ["malvar", "menon", "normalised"])
 def test_flat_mosaics_stay_flat_with_finite_gradients(dtype, method):
-    """Menon's decision is a tie at every pixel, and every |difference| is at its kink."""
+    """In a flat mosaic Menon's decision is a tie at every pixel, and every |difference| is at its
+    kink."""
     method = partial(demosaic, pattern=bayer("GBRG"), method=method)
     f = jax.jit(method)
     mosaics = [jnp.full((4, 4), level, dtype) for level in (0.0, 1e-30, 1.0, 1e30)]
@@ -84,12 +87,13 @@ def test_flat_mosaics_stay_flat_with_finite_gradients(dtype, method):
         assert picture.dtype == dtype
         np.testing.assert_allclose(picture, raw[0, 0], rtol=8 * eps(dtype))
     for (gradient,) in finite_gradients(method, *((raw,) for raw in mosaics)):
-        # each band of a flat picture is its level: all weights together are three a pixel
+        # each band of a flat picture is the level, so all weights together are 3 a pixel
         np.testing.assert_allclose(gradient.sum(), 48, rtol=100 * eps(dtype))
 
 
 def hermite(x, inputs, outputs):
-    """The monotone curve in 50 digits: Fritsch and Butland's slopes, inner points only."""
+    """Return the monotone curve in 50 digits, with the slopes of Fritsch and Butland, for inner
+    points only."""
     h = [b - a for a, b in pairwise(inputs)]
     d = [(b - a) / w for (a, b), w in zip(pairwise(outputs), h, strict=True)]
 
@@ -109,13 +113,13 @@ def hermite(x, inputs, outputs):
 
 
 @both_precisions
-def test_tone_curves_of_steep_and_flat_pieces(dtype):
+def test_tone_curves_with_steep_and_flat_pieces(dtype):
     inputs = jnp.asarray([0, 1e-6, 0.3, 0.3001, 0.9, 1], dtype)
     outputs = jnp.asarray([0, 1e-3, 0.2, 0.8, 0.8, 1], dtype)
     x = jnp.asarray([1e-6, 1e-3, 0.29, 0.30004, 0.5, 0.899], dtype)  # between the inner points
     points = [[exact.number(v) for v in np.asarray(p)] for p in (inputs, outputs)]
     ours = jax.jit(tone_curve)(x, inputs, outputs)
-    # x - inputs is exact up to a rounding of x, which the slope of the curve carries on
+    # x - inputs is exact up to a rounding of x, multiplied by the slope of the curve
     slope = jax.jit(jax.vmap(jax.grad(lambda v: tone_curve(v, inputs, outputs))))(x)
     for got, at, steepness in zip(np.asarray(ours), np.asarray(x), np.asarray(slope), strict=True):
         error = abs(exact.number(got) - hermite(exact.number(at), *points))
@@ -128,7 +132,7 @@ def test_tone_curves_of_steep_and_flat_pieces(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_gains_of_black_burnt_out_and_one_sided_pictures(dtype):
+def test_gains_of_black_saturated_and_single_channel_pictures(dtype):
     black, burnt = jnp.zeros((4, 4, 3), dtype), jnp.ones((4, 4, 3), dtype)
     red = black.at[..., 0].set(0.5)
     pictures = [(black,), (burnt,), (red,), (-burnt,)]
@@ -141,8 +145,8 @@ def test_gains_of_black_burnt_out_and_one_sided_pictures(dtype):
 
 @both_precisions
 @pytest.mark.parametrize("level", [1e-35, 1e-10, 1e10, 1e35])
-def test_high_means_neither_overflow_nor_vanish(dtype, level):
-    """x^200 would do either; the gains do not depend on the unit."""
+def test_gains_by_high_norms_neither_overflow_nor_underflow(dtype, level):
+    """x^200 would overflow or underflow; the gains do not depend on the unit."""
     shape = np.array([1.0, 0.5, 0.25])
     image = jnp.asarray(level * shape * np.ones((3, 3, 1)), dtype)
     worlds = jax.jit(lambda image: (grey_world_gains(image, norm=200.0), neutral_gains(image)))
@@ -151,7 +155,7 @@ def test_high_means_neither_overflow_nor_vanish(dtype, level):
 
 
 @both_precisions
-def test_highlights_at_the_cut(dtype):
+def test_highlights_at_the_clipping_level(dtype):
     image = jnp.asarray([[[0.0, 1.0, 1.0], [np.inf, 1.0, np.nan], [0.2, 0.5, 3.0]]], dtype)
     balanced = white_balance(image, jnp.asarray([2.0, 1.0, 1.5], dtype), saturation=1.0)
     np.testing.assert_array_equal(
@@ -165,10 +169,9 @@ def test_highlights_at_the_cut(dtype):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("spread", [1.0, 1e-1, 1e-2])
-def test_matrices_of_nearly_grey_patches(dtype, spread):
-    """A least-squares fit by QR loses the digits of the conditioning once, the normal equations
-    twice.
-    """
+def test_colour_matrices_of_nearly_grey_patches(dtype, spread):
+    """A least-squares fit by QR loses the digits of the condition number once, the normal equations
+    would lose them twice."""
     true = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])
     camera = 0.5 + spread * RNG.uniform(-0.4, 0.4, size=(24, 3))
     camera = np.asarray(jnp.asarray(camera, dtype), np.float64)
@@ -188,7 +191,7 @@ def test_matrices_of_nearly_grey_patches(dtype, spread):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
-def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):
+def test_jpeg_at_the_ends_of_the_quality_scale(dtype, rounding):
     picture = jnp.asarray(RNG.uniform(-0.5, 1.5, size=(8, 8, 3)), dtype)
     codec = partial(jpeg, rounding=rounding)
     f = jax.jit(codec)
@@ -203,7 +206,7 @@ def test_jpeg_at_the_ends_of_its_scale(dtype, rounding):
 
 @pytest.mark.slow
 @both_precisions
-def test_a_whole_development_of_nothing_and_of_too_much(dtype):
+def test_development_of_black_and_overexposed_pictures(dtype):
     development = s.Development(
         black_level=64.0,
         white_level=1064.0,

@@ -1,5 +1,5 @@
 """Filters where a naive formula fails, in both precisions: vanishing and huge widths, kernels of
-sum 0, one pixel, nothing covered. Values against 50 digits, gradients finite.
+sum 0, one pixel, no coverage. Values are compared with 50-digit results; gradients are finite.
 """
 
 from functools import partial
@@ -22,10 +22,9 @@ RNG = np.random.default_rng(5)
 @both_precisions
 @pytest.mark.parametrize("sigma", [1e-3, 0.05, 0.3, 1.0, 1.5, 7.0, 300.0])
 @pytest.mark.parametrize("sampling", ["sampled", "integrated"])
-def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
-    """From sigma as the machine stores it: the argument of an exponential e^-t has an error of t
-    ulps, and a tail loses no more than that.
-    """
+def test_gaussian_weights_against_fifty_digits(dtype, sigma, sampling):
+    """For the stored sigma, e^-t has an error of t ulps by its argument, and a tail loses no more
+    than that."""
     size = 9
     s = jnp.asarray(sigma, dtype)
     got = filters.gaussian_kernel(s, size=size, sampling=sampling)
@@ -53,8 +52,9 @@ def test_gaussian_weights_in_ulps(dtype, sigma, sampling):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("sigma", [0.0, 1e6])
-def test_gaussian_of_any_width(dtype, sigma):
-    """Value and gradient, every order and sampling; a vanishing width changes nothing."""
+def test_gaussian_filter_of_vanishing_to_huge_width(dtype, sigma):
+    """Value and gradient are finite for every order and sampling; a vanishing width changes
+    nothing."""
     f = jnp.asarray(RNG.uniform(size=(6, 5)), dtype)
     s = jnp.asarray(sigma, dtype)
     for order, sampling in (((2, 1), "sampled"), ((0, 1), "integrated")):
@@ -67,8 +67,8 @@ def test_gaussian_of_any_width(dtype, sigma):
 
 
 @both_precisions
-def test_normalising_a_kernel_of_sum_nothing(dtype):
-    """filter(1) is 0: the result and its gradient are 0."""
+def test_normalising_a_kernel_of_sum_zero(dtype):
+    """Where filter(1) is 0, the result and its gradient are 0."""
     f = jnp.asarray(RNG.uniform(size=(6, 5)), dtype)
     slope = jnp.asarray([[-1.0, 0.0, 1.0]], dtype)
 
@@ -82,7 +82,7 @@ def test_normalising_a_kernel_of_sum_nothing(dtype):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("border", BORDERS)
-def test_one_pixel_and_a_kernel_of_hundreds(dtype, border):
+def test_one_pixel_under_a_large_kernel(dtype, border):
     f, kernel = jnp.ones((1, 1), dtype), jnp.full((17, 18), 1 / 306, dtype)
     fill = 1.0 if border == "constant" else 0.0
     for method in ("direct", "fft"):
@@ -92,8 +92,8 @@ def test_one_pixel_and_a_kernel_of_hundreds(dtype, border):
 
 
 @both_precisions
-def test_constant_border_keeps_a_flat_picture_flat_beside_a_huge_fill(dtype):
-    """The fill is summed separately: inside the picture, 1e6 is never added and subtracted."""
+def test_constant_border_with_a_huge_fill_keeps_a_flat_picture(dtype):
+    """The fill value is added separately: inside the picture, 1e6 is never added and subtracted."""
     f = jnp.full((12, 12), 0.1, dtype)
     kernel = jnp.full((3, 3), 1 / 9, dtype)
     got = filters.correlate(f, kernel, border="constant", fill=1e6)
@@ -101,7 +101,7 @@ def test_constant_border_keeps_a_flat_picture_flat_beside_a_huge_fill(dtype):
 
 
 @both_precisions
-def test_extend_of_a_ramp_many_widths_out(dtype):
+def test_extend_border_of_a_ramp_far_outside(dtype):
     ramp = jnp.arange(3, dtype=dtype)[None]
     got = pad(ramp, ((0, 0), (100, 100)), border="extend")
     np.testing.assert_array_equal(got[0], np.arange(-100, 103))
@@ -109,7 +109,7 @@ def test_extend_of_a_ramp_many_widths_out(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_nothing_covered_and_nothing_weighted(dtype):
+def test_filters_without_coverage_or_weight(dtype):
     layer = jnp.zeros((5, 5, 2), dtype).at[..., 0].set(1)
 
     def straight(layer):
@@ -126,8 +126,8 @@ def test_nothing_covered_and_nothing_weighted(dtype):
     assert_finite(jax.grad(lambda *x: disk(*x).sum(), (0, 1))(f, width))
 
 
-def test_half_precision_and_the_transform():
-    """bfloat16 keeps its dtype, and passes through float32."""
+def test_fft_filter_of_half_precision():
+    """A filter of bfloat16 by FFT passes through float32 and returns bfloat16."""
     f = jnp.ones((8, 8), jnp.bfloat16)
     got = filters.correlate(f, np.full((5, 5), 0.04), method="fft")
     assert got.dtype == jnp.bfloat16

@@ -1,5 +1,6 @@
-"""Rays and shapes where naive formulas break: grazing, tangent and parallel rays, origins on the
-surface and far away, small and large worlds, slivers; both precisions, against 50 digits."""
+"""Rays and shapes where naive formulas fail: grazing, tangent and parallel rays, origins on the
+surface and far away, small and large scenes, thin triangles; both precisions against 50 digits.
+"""
 
 from functools import cache
 from typing import NamedTuple
@@ -49,7 +50,7 @@ WORLDS = [(scale, np.zeros(3)) for scale in SCALES] + [(1.0, np.array([1000.0, -
 
 
 def numbers(kind, turn, scale, place, edges):
-    """The float fields of a shape about `place`, of a size near `scale`."""
+    """Return the float fields of a shape about `place` of a size near `scale`."""
     centre = scale * place
     match kind:
         case "sphere":
@@ -67,7 +68,7 @@ def numbers(kind, turn, scale, place, edges):
 
 
 def target(kind, u, v, edges):
-    """A point of the surface in the shape's own axes: u = 0 is the rim, less is outside."""
+    """Return a point of the surface in the shape's own axes: u = 0 is the rim, less is outside."""
     match kind:
         case "sphere":
             return np.array([u, v, np.sqrt(max(0, 1 - u * u - v * v))])
@@ -81,7 +82,7 @@ def target(kind, u, v, edges):
             return u * edges[0] + v * edges[1]
 
 
-# (u, v) of the target, the way there in the shape's own axes, how far off the ray starts, in sizes
+# (u, v) of the target, the direction in the shape's own axes, the distance of the start in sizes
 RAYS = {
     "straight down": ((0.25, 0.25), (0, 0, -1), 1),
     "slanted": ((0.3, 0.6), (0.6, 0, -0.8), 1),
@@ -106,7 +107,8 @@ RAYS = {
 
 
 def cases(kind):
-    """(names, the shapes' numbers stacked, origins, directions) of every ray at every shape."""
+    """Return (names, the shapes' fields stacked, origins, directions) of every ray at every
+    shape."""
     rows = []
     for form, turn, edges in (
         ("upright", UPRIGHT, EDGES),
@@ -135,8 +137,15 @@ def cases(kind):
 
 
 class Crossing(NamedTuple):
-    """A place where a line meets a surface. `bound`: how far off rounding may put the distance, in
-    eps; `sure`: that rounding cannot decide about the hit; `wobble`: of the normal, in eps."""
+    """A place where a line meets a surface.
+
+    Attributes:
+        distance: along the line.
+        bound: how far rounding may move the distance, in eps.
+        sure: that rounding cannot decide about the hit.
+        normal: of the surface there.
+        wobble: error of the normal, in eps.
+    """
 
     distance: mp.mpf
     bound: mp.mpf
@@ -163,7 +172,8 @@ def unit(v):
 
 
 def sphere_crossings(o, d, e, centre, radius):
-    """The conditioning of the half chord h: its square is r^2 - p^2, of the nearest approach p."""
+    """Return the crossings with a sphere; the conditioning is that of half the chord, sqrt(r^2 -
+    p^2), where p is the closest approach."""
     f = minus(o, centre)
     square = dot(d, d)
     b = -dot(f, d) / square
@@ -183,7 +193,8 @@ def sphere_crossings(o, d, e, centre, radius):
 
 
 def flat_crossings(o, d, e, point, normal, condition, margin):
-    """`condition`: eps in the edges to eps in the normal. `margin(x)`: how far inside x lies."""
+    """Return the crossings with a plane. `condition`: ratio of the errors of normal and edges.
+    `margin(x)`: how far inside x lies."""
     n, way = unit(normal), minus(point, o)
     slope, reach = dot(n, d), length(way) * condition
     if abs(slope) <= e * condition:  # rounding alone may turn it any way
@@ -197,7 +208,8 @@ def flat_crossings(o, d, e, point, normal, condition, margin):
 
 
 def weights(x, corner, u, v):
-    """x = corner + s u + t v: (s, t, length of s = 1, length of t = 1 across the other edge)."""
+    """Return (s, t, length of s = 1, length of t = 1 across the other edge) of x = corner + s u + t
+    v."""
     n = cross(u, v)
     size = dot(n, n)
     f = minus(x, corner)
@@ -241,7 +253,7 @@ def box_crossings(o, d, e, centre, half_extents, axes):
 
 
 def crossings(kind, fields, o, d, e):
-    """All, the nearest first. `e`: the rounding allowed for, some eps."""
+    """Return all crossings, the nearest first. `e`: the rounding allowed for, some eps."""
     match kind:
         case "sphere":
             found = sphere_crossings(o, d, e, *fields)
@@ -263,12 +275,12 @@ def crossings(kind, fields, o, d, e):
 
 
 def exactly(x):
-    """The 50-digit value of an array of any rank."""
+    """Return the 50-digit value of an array of any rank."""
     return exact.number(x) if np.ndim(x) == 0 else [exactly(row) for row in x]
 
 
 def which(distance, found, e, name):
-    """The crossing that a distance belongs to, None for a rightful miss."""
+    """Return the crossing at a distance, or None for a correct miss."""
     for crossing in found:
         slack = e * crossing.bound
         if distance < mp.inf and abs(distance - crossing.distance) <= slack:
@@ -279,7 +291,7 @@ def which(distance, found, e, name):
 
 
 def height(kind, fields, normal, point):
-    """How far a point lies above the surface that it is known to be near."""
+    """Return the height of a point above the surface that it is known to be near."""
     match kind:
         case "sphere":
             return length(minus(point, fields[0])) - fields[1]
@@ -297,7 +309,8 @@ def height(kind, fields, normal, point):
 
 @cache
 def met(kind):
-    """((distance, size), (normal, point), the gradient of the distance, that of all the rest)."""
+    """Return ((distance, size), (normal, point), the gradient of the distance, that of all the
+    rest)."""
 
     def values(origin, direction, fields):
         hit = intersect(Ray(origin, direction), MAKE[kind](*fields))
@@ -316,16 +329,16 @@ def met(kind):
     return jax.jit(jax.vmap(one))
 
 
-# eps allowed, in units of each case's conditioning
+# allowed error in eps, in units of each case's conditioning
 ALLOWED = 2
 
 
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("kind", MAKE)
-def test_hits_and_slopes_against_fifty_digits(dtype, kind):
-    """Distance, normal, how near the point is to the surface, and d distance / d origin, which is
-    -n / (n.d) of any surface; all other gradients finite, all gradients of a miss zero."""
+def test_hits_and_their_gradients_against_fifty_digits(dtype, kind):
+    """Distance, normal, hit point and d distance / d origin, which is -n / (n.d) for any surface,
+    agree with 50 digits; all other gradients are finite, and all gradients of a miss are zero."""
     names, *arrays = cases(kind)
     fields, origins, directions = jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays)
     kept, rest, slopes, others = met(kind)(origins, directions, fields)
@@ -384,7 +397,8 @@ NOTHING = {
 
 
 def rays_that_meet_nothing(kind):
-    """(origin, direction, fields): in the plane of a flat shape, above and below it."""
+    """Yield (origin, direction, fields) of rays in the plane of a flat shape, above and below
+    it."""
     for scale in SCALES if kind in PARALLEL else []:
         fields = [scale * x if kind == "triangle" else x for x in PARALLEL[kind]]
         for above, way in [(h, 0) for h in (0, 1e-6, -1e-6, 1)] + [(0, 1e-80)]:
@@ -398,8 +412,8 @@ def rays_that_meet_nothing(kind):
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("kind", NOTHING)
-def test_parallel_rays_and_shapes_of_no_extent_meet_nothing(dtype, kind):
-    """With all gradients finite, and those to the ray zero."""
+def test_parallel_rays_and_shapes_without_extent_have_no_hits(dtype, kind):
+    """All gradients are finite, and those by the ray are zero."""
     count = len(cases(kind)[0])  # one size of program for all
     rows = jax.tree.map(lambda *x: np.stack(x), *map(list, rays_that_meet_nothing(kind)))
     arrays = jax.tree.map(lambda x: jnp.asarray(np.resize(x, (count, *x.shape[1:])), dtype), rows)
@@ -420,7 +434,8 @@ LEAVING = [(0, 0, 1), (0.6, 0, 0.8), (0, -0.8, 0.6), (1, 0, 0.02), (-0.28, -0.96
 
 
 def shadows(kind):
-    """For a ray that meets the shape, and a way on about the normal of the side that it meets."""
+    """Return a function of a ray that meets the shape, and of a direction about the normal of the
+    side that it meets."""
 
     def one(origin, direction, fields, way, scale):
         shape = MAKE[kind](*fields)
@@ -453,8 +468,8 @@ def shadows(kind):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", MAKE)
-def test_a_point_is_not_its_own_shadow_and_what_is_near_shades_it(kind):
-    """In float32: a disc that lies a thousandth of the size above shades the point, and the moved
+def test_a_point_does_not_shade_itself_but_near_occluders_do(kind):
+    """In float32, a disc a thousandth of the size above the surface shades the point, and the moved
     starts are truly above and below the surface."""
     rows = [
         (

@@ -1,8 +1,8 @@
 """Histograms, equalisation, integral images and neighbourhood filters where naive formulas fail, in
 both precisions: millions of equal values, values on edges, a single value, huge and tiny scales.
 
-Values against 50 digits for the same floating-point inputs; gradients are finite everywhere.
-"""
+Values are compared with 50-digit results for the same floating-point inputs; gradients are
+finite."""
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,9 @@ mp.mp.dps = 50
 
 
 @both_precisions
-def test_millions_of_equal_values(dtype):
-    """A running float32 sum of equal weights stops growing at 2^24 and errs by 10^-2 well before.
-    Conditioning: a weight 1 - f follows an error of the position, bins eps."""
+def test_histogram_of_millions_of_equal_values(dtype):
+    """A running float32 sum of equal weights stops growing at 2^24 and errs by 10^-2 well before. A
+    weight 1 - f has the error of the position, bins eps."""
     value = jnp.asarray(0.337, dtype)
     image = jnp.broadcast_to(value, (2048, 2048))
     counts = np.asarray(soft_histogram(image, bins=10).counts, float)
@@ -40,15 +40,15 @@ def test_millions_of_equal_values(dtype):
     upper = position - mp.floor(position)
     expected = np.zeros(10)
     expected[2:4] = float((1 - upper) * 2**22), float(upper * 2**22)
-    # 2048 additions a row and 2048 rows, each rounding by at most half an eps
+    # 2048 additions a row and 2048 rows, each rounding by at most eps / 2
     bound = 2**22 * (10 + 2048) * eps(dtype)
     np.testing.assert_allclose(counts, expected, atol=bound)
     np.testing.assert_array_equal(counts[expected == 0], 0)
 
 
 @both_precisions
-def test_values_on_every_edge_fall_to_the_right_of_it(dtype):
-    """97 bins: only the two end edges are binary fractions."""
+def test_values_on_edges_fall_into_the_bin_on_their_right(dtype):
+    """With 97 bins only the two end edges are binary fractions."""
     edges = np.linspace(0, 1, 98).astype(dtype)
     counts = exact_histogram(jnp.asarray(edges)[None], bins=97).counts
     np.testing.assert_array_equal(counts, [1] * 96 + [2])
@@ -57,7 +57,7 @@ def test_values_on_every_edge_fall_to_the_right_of_it(dtype):
 
 
 @both_precisions
-def test_distribution_in_ulps(dtype):
+def test_cumulative_distribution_against_exact_sums(dtype):
     counts = RNG.integers(0, 1000, size=300)
     image = jnp.asarray(np.repeat((np.arange(300) + 0.5) / 300, counts), dtype)[None]
     ours = cumulative_distribution(exact_histogram(image, bins=300))
@@ -69,7 +69,7 @@ def test_distribution_in_ulps(dtype):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("value", [0.0, 0.25, -5.0, 1e-30, jnp.inf])
-def test_pictures_of_one_value(value, dtype):
+def test_histograms_of_pictures_of_one_value(value, dtype):
     image = jnp.full((8, 9), value, dtype)
     for operator in (equalise, equalise_locally):
         result, slope = jax.jit(
@@ -96,8 +96,9 @@ def test_gradients_of_the_soft_histogram_at_edges_and_centres(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_integral_image_to_the_last_digit_of_the_pair(dtype):
-    """high + low against exact sums: 2^-46 (2^-104) of them, some thousand additions deep."""
+def test_integral_image_keeps_all_digits_of_its_pair(dtype):
+    """high + low agrees with exact sums to 2^-46 (2^-104 in float64) after some thousand
+    additions."""
     image = jnp.asarray(10.0 ** RNG.uniform(-6, 6, size=(60, 70)), dtype)
     ours = integral_image(image)
     exact = mp.matrix(61, 71)
@@ -116,7 +117,7 @@ def test_integral_image_to_the_last_digit_of_the_pair(dtype):
 @both_precisions
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_neighbourhood_filters_do_not_depend_on_the_unit(scale, dtype):
-    """Image, sigma and strength in another unit give the result in that unit."""
+    """If image, sigma and strength are given in another unit, the result is in that unit."""
     image = jnp.asarray(RNG.random((6, 7)), dtype)
     sigma = jnp.asarray(0.2, dtype)
     factor = jnp.asarray(scale, dtype)
@@ -126,7 +127,7 @@ def test_neighbourhood_filters_do_not_depend_on_the_unit(scale, dtype):
     ):
         once = jax.jit(filtered)
         expected = once(image, sigma)
-        # a relative error eps of the exponent, at most some 25 here, is one of the weight
+        # a relative error eps of the exponent, at most about 25 here, gives the error of the weight
         np.testing.assert_allclose(
             once(image * factor, sigma * factor) / factor, expected, rtol=100 * eps(dtype)
         )

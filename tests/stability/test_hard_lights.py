@@ -1,5 +1,6 @@
-"""Lights where naive formulas break: receivers on, beside and behind a light, horizons, poles; both
-precisions, against 50 digits, with finite gradients."""
+"""Lights where naive formulas fail: receivers on, beside and behind a light, horizons, poles. In
+both precisions, values are compared with 50-digit results, and gradients are finite.
+"""
 
 from functools import partial
 
@@ -19,7 +20,7 @@ from jaxvision.lights.window import window_sample
 from jaxvision.rendering.hemisphere_integral import lit_radiance
 from jaxvision.rendering.shading import outgoing_radiance
 
-# float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.
+# float32 is the harder one, and compiling takes the time, so float64 is among the slow tests.
 single_first = pytest.mark.parametrize(
     "dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)]
 )
@@ -35,7 +36,7 @@ angle_with_gradient = jax.jit(jax.value_and_grad(angle_over_sine, argnums=(0, 1)
 @pytest.mark.parametrize("ratio", [0.0, 1e-30, 1e-12, 1e-6, 1e-3, 0.0299, 0.0301, 1.0, 1e6])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_angle_over_sine_and_its_derivatives(dtype, ratio, sign):
-    """theta / sin over tan^2 = `ratio`, cosine 0.8 of either sign."""
+    """theta / sin for tan^2 = `ratio` and a cosine of 0.8 of either sign agrees with 50 digits."""
     cosine = jnp.asarray(sign * 0.8, dtype)
     square = jnp.asarray(ratio * 0.64, dtype)
     s2, c = exact.number(square), exact.number(cosine)
@@ -51,7 +52,7 @@ def test_angle_over_sine_and_its_derivatives(dtype, ratio, sign):
     value = mp.atan2(root, c) / root
     assert exact.ulps(got, value) <= 4
     by_square = (c / (s2 + c * c) - value) / (2 * s2)
-    # below the series' reach the difference loses a factor 1 / ratio at most
+    # below the range of the series the difference loses a factor 1 / ratio at most
     lost = 40 if sign > 0 else 8
     assert exact.ulps(pulled[0], by_square) <= lost * 3
     assert exact.ulps(pulled[1], -1 / (s2 + c * c)) <= 4
@@ -86,8 +87,9 @@ def irradiance_with_gradient(*arguments):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("name", RECEIVERS)
-def test_irradiance_and_its_gradient_against_fifty_digits(dtype, name):
-    """In units of what the cancelling terms amount to: eps times size over distance."""
+def test_rectangle_irradiance_and_gradient_against_fifty_digits(dtype, name):
+    """The error is within some eps times the size over the distance, the size of the cancelling
+    terms."""
     point, normal = RECEIVERS[name]
     light = jv.as_dtype(jv.RectangleLight(*LAMP, [1.0]), dtype)
     point, normal = jnp.asarray(point, dtype), jnp.asarray(normal, dtype)
@@ -108,7 +110,8 @@ def test_irradiance_and_its_gradient_against_fifty_digits(dtype, name):
 
 @jax.jit
 def everything(light, point, normal):
-    """Closed form, nodes, a sample and its density at one place, and the gradients of their sum."""
+    """Return the closed form, nodes, a sample and its density at one place, and the gradients of
+    their sum."""
 
     def values(light, point, normal):
         dtype = point.dtype
@@ -141,8 +144,9 @@ def everything(light, point, normal):
     }.items(),
     ids=lambda item: item[0],
 )
-def test_awkward_places_are_finite_in_value_and_gradient(dtype, where):
-    """Closed form, nodes, density and samples from one program."""
+def test_rectangle_lights_at_degenerate_places_are_finite(dtype, where):
+    """Closed form, nodes, density and samples, from one program, are finite with their
+    gradients."""
     light = jv.as_dtype(jv.RectangleLight(*LAMP, [1.0]), dtype)
     point, up = jnp.asarray(where[1], dtype), jnp.asarray([0, 0, 1], dtype)
     values, gradients = everything(light, point, up)
@@ -154,8 +158,8 @@ def test_awkward_places_are_finite_in_value_and_gradient(dtype, where):
         np.testing.assert_allclose(values[0], np.pi, rtol=1e-4)
 
 
-def test_places_of_a_window_far_away():
-    """Its places are even in the square, as it is much smaller than its distance."""
+def test_samples_of_a_distant_window():
+    """The samples are uniform over a window that is much smaller than its distance."""
     far = jv.as_dtype(jv.Window([3e3, 5e3, 7e3], [0, 0.25, 0], [0.5, 0, 0]), jnp.float32)
     u = jnp.asarray([0.3, 0.6], jnp.float32)
     _, _, solid_angle, place = window_sample(far, jnp.zeros(3, jnp.float32), u)
@@ -172,7 +176,7 @@ def look_up(light, point):
 
 @pytest.mark.slow
 @both_precisions
-def test_degenerate_rectangles_shine_nothing(dtype):
+def test_degenerate_rectangles_emit_nothing(dtype):
     up = jnp.asarray([0, 0, 1], dtype)
     for u, v in ([[1, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]], [[1, 0, 0], [2, 0, 0]]):
         light = jv.as_dtype(jv.RectangleLight([0, 0, 1], u, v, [1.0]), dtype)
@@ -194,7 +198,7 @@ look = jax.jit(jax.value_and_grad(lambda s, d: environment_radiance(s, d)[0], (0
 @pytest.mark.parametrize(
     "direction", [[0, 0, 1], [0, 0, -1], [-1, 0, 0], [1, 0, 0], [1e-20, 0, 1], [0, 0, 0]]
 )
-def test_looking_at_the_poles_and_the_seam(dtype, direction):
+def test_environment_radiance_at_the_poles_and_the_seam(dtype, direction):
     sky = jv.as_dtype(jv.environment_map(np.arange(1.0, 25).reshape(4, 6, 1)), dtype)
     d = jnp.asarray(direction, dtype)
     value, gradient = look(sky, d)
@@ -212,8 +216,9 @@ def draw(sky, point, u):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1 - 2**-24, 1 - 2**-24], [0.5, 0.0]])
-def test_sampling_at_the_ends_of_the_square(dtype, u):
-    """A sun of one pixel, a row of nothing: the draw stays on what shines."""
+def test_environment_sampling_at_the_ends_of_the_unit_square(dtype, u):
+    """Draws from a sun of one pixel among black rows have a finite density and gradient at the ends
+    of the unit square."""
     picture = np.zeros((8, 16, 1))
     picture[2, 3] = 1e6
     sky = jv.as_dtype(jv.environment_map(picture), dtype)
@@ -274,7 +279,7 @@ def from_small(light, point):
     ids=["on it", "behind", "in its plane", "grazing", "grazing from afar", "a micrometre below"],
 )
 def test_small_light_against_fifty_digits(dtype, point):
-    """E = I cos(theta) / d^2 within a few ulps of the cosine's own rounding."""
+    """E = I cos(theta) / d^2 is right within a few ulps beyond the rounding of the cosine."""
     light = jv.as_dtype(jv.SmallLight([0, 0, 2], [0, 0, -3], [2.0]), dtype)
     at = jnp.asarray(point, dtype)
     got, slopes = from_small(light, at)

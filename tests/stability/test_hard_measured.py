@@ -1,5 +1,7 @@
-"""Measured tables where the angles are awkward: on the normal, at wi = wo, at grazing, on and
-beyond nodes, in both precisions. Values against 50 digits; gradients finite."""
+"""Measured BRDF tables at difficult angles, in both precisions: on the normal, at wi = wo, at
+grazing angles, on nodes and beyond them. Values are compared with 50-digit results; gradients are
+finite.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +70,7 @@ def materials(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_values_and_gradients_are_finite_at_awkward_pairs(dtype):
+def test_values_and_gradients_are_finite_at_degenerate_pairs(dtype):
     wi, wo = (jnp.asarray(np.array(w), dtype) for w in zip(*AWKWARD.values(), strict=True))
     u = jnp.asarray([[0.0, 0.0, 0.9], [0.5, 0.25, 0.9], [1 - eps(dtype), 1 - eps(dtype), 0.9]])
     u = u.astype(dtype)
@@ -93,7 +95,7 @@ def test_values_and_gradients_are_finite_at_awkward_pairs(dtype):
 
 
 def exact_half_difference(wi, wo):
-    """theta_h, theta_d, phi_d of the very floating-point vectors, 50 digits."""
+    """Return theta_h, theta_d, phi_d of the same floating-point vectors in 50 digits."""
     i, o = exact.vector(wi), exact.vector(wo)
     i, o = (mp.matrix(v) / mp.norm(mp.matrix(v)) for v in (i, o))
     h = (i + o) / mp.norm(i + o)
@@ -109,7 +111,7 @@ def exact_half_difference(wi, wo):
 @both_precisions
 @pytest.mark.parametrize("apart", [1e-3, 1e-5, 0.3])
 def test_small_half_and_difference_angles_keep_their_digits(dtype, apart):
-    """Where the arccosine of a cosine loses everything."""
+    """The angles are right where the arccosine of a cosine loses all digits."""
     one = jax.jit(half_difference)
     for phi in (0.3, 2.0, -1.1):
         wi = jnp.asarray(at(0.7 + apart, phi), dtype)
@@ -125,8 +127,9 @@ def test_small_half_and_difference_angles_keep_their_digits(dtype, apart):
 
 
 @both_precisions
-def test_difference_angles_go_there_and_back_at_the_edges(dtype):
-    """theta_h, theta_d near 0 and near a right angle, in units of eps."""
+def test_difference_angles_round_trip_at_degenerate_pairs(dtype):
+    """For theta_h and theta_d near 0 and near a right angle, the round trip is right to some
+    eps."""
     there = jax.jit(from_half_difference)
     back = jax.jit(half_difference)
     for wi, wo in AWKWARD.values():
@@ -140,8 +143,9 @@ def test_difference_angles_go_there_and_back_at_the_edges(dtype):
 
 
 @pytest.mark.slow
-def test_a_density_that_vanishes_in_places_is_still_sampled():
-    """Rows, columns and a whole slice of zeros: draws land where the density is positive."""
+def test_sampling_a_density_with_zeros():
+    """With rows, columns and a whole slice of zeros in the tables, samples lie where the density is
+    positive."""
     dtype = jnp.float32
     fields = oracle.rgl_fields(np.random.default_rng(1), thetas=2, side=4, fine=9)
     fields["luminance"][:, :, 1:3] = 0

@@ -1,9 +1,9 @@
-"""Optics where naive formulas fail: z_o at f, inside it, at 0 and at infinity; circles that touch;
-slivers of polygons; the zeros of the Airy pattern; closed apertures; the fold of a barrel.
+"""Optics where naive formulas fail: z_o at f, inside it, at 0 and at infinity; touching circles;
+thin polygons; zeros of the Airy pattern; closed apertures; the fold of a barrel distortion.
 
-Values against 50 digits for the same floating-point inputs, in units of the last place where the
-problem is well conditioned, otherwise with its conditioning written out. Gradients are finite
-everywhere, in both precisions.
+Values are compared with 50-digit results for the same floating-point inputs, in units of the last
+place where the problem is well conditioned, otherwise with its conditioning written out. Gradients
+are finite everywhere, in both precisions.
 """
 
 import jax
@@ -21,7 +21,8 @@ EYE = np.eye(3)
 
 
 def each(function, *columns):
-    """(values, gradients by each argument) of a function of scalars, over rows of arguments."""
+    """Return (values, gradients by each argument) of a function of scalars over rows of
+    arguments."""
     count = tuple(range(len(columns)))
     return jax.jit(jax.vmap(jax.value_and_grad(function, argnums=count)))(*columns)
 
@@ -30,7 +31,7 @@ def each(function, *columns):
 
 
 @both_precisions
-def test_lens_law_at_f_at_zero_and_at_infinity(dtype):
+def test_lens_law_at_the_focal_length_at_zero_and_at_infinity(dtype):
     f, inf = jnp.asarray(0.05, dtype), jnp.asarray(jnp.inf, dtype)
     z = jnp.stack([f, jnp.zeros((), dtype), inf])
     fs = jnp.full(3, f)
@@ -50,8 +51,8 @@ def test_lens_law_at_f_at_zero_and_at_infinity(dtype):
 
 
 @both_precisions
-def test_blur_in_ulps_and_its_gradients(dtype):
-    """c = d z_i |1 / z_o - 1 / z_f|: all digits also just beside the focus."""
+def test_blur_and_its_gradients_against_fifty_digits(dtype):
+    """c = d z_i |1 / z_o - 1 / z_f| keeps all digits, also just beside the focus."""
     beside = jnp.nextafter(jnp.asarray(2.0, dtype), jnp.asarray(3.0, dtype))
     rows = jnp.asarray(
         [
@@ -82,8 +83,9 @@ def test_blur_in_ulps_and_its_gradients(dtype):
 
 
 @both_precisions
-def test_depth_of_field_at_its_ends(dtype):
-    """Focus at infinity, at the focal length, no blur allowed, a closed aperture."""
+def test_depth_of_field_at_its_limits(dtype):
+    """The limits are exact for focus at infinity or at the focal length, no blur allowed, and a
+    closed aperture."""
     inf = jnp.inf
     rows = jnp.asarray(
         [
@@ -122,7 +124,8 @@ def exact_overlap(d, r1, r2):
 
 @both_precisions
 def test_overlap_of_touching_discs(dtype):
-    """Just apart, just touching, just inside, the same."""
+    """The overlap of discs just apart, just touching, just inside and equal agrees with 50
+    digits."""
     one = jnp.asarray(1.0, dtype)
     tiny = float(jnp.finfo(dtype).eps)
     rows = jnp.asarray(
@@ -148,8 +151,9 @@ def test_overlap_of_touching_discs(dtype):
 
 @both_precisions
 @pytest.mark.parametrize("small", [1e-2, 1e-5, 1e-10])
-def test_a_small_disc_on_the_rim_of_a_large_one(small, dtype):
-    """From the rim, by parts of the small radius: the digits of what it shares are its own."""
+def test_overlap_of_a_small_disc_on_the_rim_of_a_large_one(small, dtype):
+    """The overlap of a disc on the rim of a large one keeps its digits at distances from the rim
+    given in small radii."""
     one, radius = jnp.asarray(1.0, dtype), jnp.asarray(small, dtype)
     for part in (-2, -0.9, -0.5, 0, 0.3, 0.8):
         distance = one + jnp.asarray(part, dtype) * radius
@@ -161,8 +165,9 @@ def test_a_small_disc_on_the_rim_of_a_large_one(small, dtype):
 
 
 @both_precisions
-def test_polygon_overlap_at_its_edges(dtype):
-    """Corners on the circle, a side through the centre, no disc, no polygon."""
+def test_polygon_overlap_at_degenerate_places(dtype):
+    """Areas are exact for corners on the circle, a side through the centre, a disc or polygon
+    without area."""
     x, y = (jnp.asarray(v, dtype) for v in ([1.0, 0, -1, 0], [0.0, 1, 0, -1]))
 
     def area(right, down, radius, size):
@@ -187,7 +192,8 @@ def test_polygon_overlap_at_its_edges(dtype):
 
 @both_precisions
 def test_airy_amplitude_against_fifty_digits(dtype):
-    """In the middle, across the seam of the two expansions, at the zeros, far out."""
+    """The amplitude is right at the centre, where the two expansions meet, at the zeros, and far
+    out."""
     from jaxvision.optics._bessel import jinc
 
     x = jnp.asarray([0, 1e-4, 1, 3.8317059702075125, 7.999, 8.001, 13.3, 97.1, 1.2e3], dtype)
@@ -214,7 +220,7 @@ def test_airy_amplitude_against_fifty_digits(dtype):
     ],
     ids=["circle", "ring", "hexagon", "slit"],
 )
-def test_apertures_at_the_corners_of_the_unit_square(dtype, aperture):
+def test_aperture_samples_at_the_corners_of_the_unit_square(dtype, aperture):
     aperture = as_dtype(aperture, dtype)
     u = jnp.asarray([[0, 0], [1, 1], [0.5, 0.5], [0, 1], [1, 0], [1 / 3, 0]], dtype)
 
@@ -238,7 +244,8 @@ def test_apertures_at_the_corners_of_the_unit_square(dtype, aperture):
 
 
 def hard_views(dtype):
-    """Closed, at infinity, at the focal length and inside it, a rim at the focus, a fold."""
+    """Return views with a closed aperture, focused at infinity, at the focal length and inside it,
+    a rim at the focus, a fold."""
     common = {"resolution": (3, 5), "f_number": 2.0}
     lens = s.ThinLens([0, 0, 0], EYE, 0.05, 0.01, focus_distance=2.0, **common)
     rim = s.ThinLens([0, 0, 0], EYE, 0.05, 0.01, focus_distance=0.2, rim=s.Rim(0.2, 0.03), **common)
@@ -253,7 +260,8 @@ def hard_views(dtype):
         folded,
     ]
     views = [as_dtype(view, dtype) for view in with_numbers]
-    # a focus that no sensor serves is refused when known; traced, it has defined results
+    # a focus that no sensor distance serves raises an error if known; traced, it has defined
+    # results
     at = [
         jax.tree.unflatten(
             jax.tree.structure(views[0]),
@@ -267,7 +275,7 @@ def hard_views(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_rays_irradiance_and_blur_of_hard_views(dtype):
+def test_rays_irradiance_and_blur_of_degenerate_views(dtype):
     u = jnp.asarray([0.5, 0.5], dtype)
     depth = jnp.asarray([0, 0.05, 2, jnp.inf], dtype)
     row, column = jnp.asarray(1.0, dtype), jnp.asarray(4.0, dtype)
@@ -292,8 +300,9 @@ def test_rays_irradiance_and_blur_of_hard_views(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_diffraction_of_hard_views(dtype):
-    """Through a closed aperture, and to a sensor at or beyond infinity; with light and without."""
+def test_diffraction_of_degenerate_views(dtype):
+    """Through a closed aperture the picture is black, and with a sensor at or beyond infinity it is
+    finite, also without light."""
 
     def spread(view, diffraction, irradiance):
         return optics.diffracted(view, diffraction, irradiance)
@@ -317,8 +326,9 @@ def test_diffraction_of_hard_views(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_undistortion_there_and_back_to_the_last_digits(dtype):
-    """Up to a tenth from the fold of r (1 - r^2 / 3) at 1; beyond it finite, with gradient 0."""
+def test_undistortion_inverts_distortion_near_the_fold(dtype):
+    """The round trip is right up to a tenth from the fold of r (1 - r^2 / 3) at 1; beyond it,
+    undistortion is finite with gradient 0."""
     lens = as_dtype(s.Distortion([-1 / 3]), dtype)
     x = jnp.asarray([0, 1e-12, 1e-3, 0.3, 0.6, 0.9], dtype)
     there = x * (1 - x * x / 3)
@@ -332,8 +342,8 @@ def test_undistortion_there_and_back_to_the_last_digits(dtype):
 
 
 @both_precisions
-def test_nan_and_discs_without_bounds(dtype):
-    """NaN makes no area, no contrast and no light 0; a disc of any size shares the whole square."""
+def test_nan_and_huge_discs(dtype):
+    """A NaN gives a NaN area and contrast; a disc of any size covers the whole square."""
     nan, one = np.array(np.nan, dtype), np.ones((), dtype)
     discs, contrast = jax.jit(optics.overlap_of_discs), jax.jit(optics.diffraction_mtf)
     for arguments in ((nan, one, one), (one, nan, one), (one, one, nan)):

@@ -24,7 +24,7 @@ from jaxvision.transport.radiosity import (
 @both_precisions
 @pytest.mark.parametrize("form", [parallel_rectangles, perpendicular_rectangles])
 @pytest.mark.parametrize("sizes", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0), (1e30, 1, 1e-30)])
-def test_no_area_and_no_gap(form, sizes, dtype):
+def test_form_factors_without_area_or_gap(form, sizes, dtype):
     arguments = [jnp.asarray(size, dtype) for size in sizes]
     value, pulled = jax.jit(jax.value_and_grad(form, argnums=(0, 1, 2)))(*arguments)
     assert 0 <= value <= 1
@@ -32,7 +32,7 @@ def test_no_area_and_no_gap(form, sizes, dtype):
 
 
 def corner_sum(first, second, corner):
-    """Sixteen signed corners by brute force, with enough digits for the cancellation."""
+    """Return the sum over sixteen signed corners, with enough digits for the cancellation."""
     total = mp.mpf(0)
     for i in range(2):
         for j in range(2):
@@ -44,7 +44,7 @@ def corner_sum(first, second, corner):
 
 
 def parallel_truth(first, second, gap):
-    """C-13 of two rectangles, m^2."""
+    """Return the exchange area of two parallel rectangles by C-13, m^2."""
     c = exact.number(gap)
 
     def corner(u, y, v):
@@ -57,7 +57,7 @@ def parallel_truth(first, second, gap):
 
 
 def perpendicular_truth(first, second):
-    """C-15 of two rectangles, m^2."""
+    """Return the exchange area of two perpendicular rectangles by C-15, m^2."""
 
     def corner(u, y, z):
         r, square = mp.sqrt(y * y + z * z), u * u + y * y + z * z
@@ -82,8 +82,9 @@ UNEQUAL = {
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("case", UNEQUAL)
-def test_rectangles_of_unequal_size(case, dtype):
-    """As differences alone they were off by up to nine times themselves in float32."""
+def test_form_factors_of_rectangles_of_unequal_size(case, dtype):
+    """The form factors are right in float32; plain differences of the corner terms err by up to
+    nine times the value."""
     first, second, gap = UNEQUAL[case]
     first, second = (jnp.asarray(r, dtype) for r in (first, second))
     gap = jnp.asarray(gap, dtype)
@@ -104,8 +105,9 @@ def test_rectangles_of_unequal_size(case, dtype):
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
-def test_patches_at_any_distance(apart, dtype):
-    """Two patches of 0.1 m, shifted by `apart` of their size, in planes 0.1 m apart."""
+def test_form_factors_of_patches_at_any_distance(apart, dtype):
+    """Two patches of 0.1 m, shifted by `apart` of their size in planes 0.1 m apart, have the
+    50-digit form factor."""
     first = jnp.asarray([[0.0, 0.1], [0.0, 0.1]], dtype)
     second = first + jnp.asarray([[0.1 * apart], [0.0]], dtype)
     gap = jnp.asarray(0.1, dtype)
@@ -119,7 +121,7 @@ def test_patches_at_any_distance(apart, dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_perpendicular_patches_that_touch_or_lie_behind(dtype):
+def test_perpendicular_patches_that_touch_or_lie_below_the_plane(dtype):
     floor = jnp.asarray([[0.0, 1.0], [0.0, 1.0]], dtype)
     exchange = jax.jit(jax.value_and_grad(perpendicular_exchange))
     for wall in ([[0.0, 1.0], [-1.0, 1.0]], [[1.0, 2.0], [0.0, 1.0]], [[0.0, 1.0], [-1.0, -0.5]]):
@@ -133,8 +135,9 @@ def test_perpendicular_patches_that_touch_or_lie_behind(dtype):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("height", [0.0, 1e-6, 1e-3, 1.0, 1e4])
-def test_a_point_near_and_far_of_a_triangle(height, dtype):
-    """A repeated corner, the point over it, on it and far away: finite and within [0, 1]."""
+def test_degenerate_triangle_seen_from_near_and_far(height, dtype):
+    """For a triangle with a repeated corner, and a point above it, on it and far away, the form
+    factor is finite and within [0, 1]."""
     corners = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 0, 0]]
     triangle = tuple(as_vec(jnp.asarray(corner, dtype)) for corner in corners)
     point, up = (as_vec(jnp.asarray(v, dtype)) for v in ([0.0, 0.0, -height], [0.0, 0.0, 1.0]))

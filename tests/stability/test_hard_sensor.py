@@ -1,5 +1,6 @@
 """The sensor at its limits, in both precisions: no photon, far too many, wells just full, and
-closed forms that cancel. Values against 50 digits; gradients finite everywhere.
+closed forms that cancel. Values are compared with 50-digit results; gradients are finite
+everywhere.
 """
 
 from dataclasses import replace
@@ -30,7 +31,7 @@ from jaxvision.sensor.ccd import counted_variance, transfer_noise
 from jaxvision.sensor.shot_noise import _inverse_poisson
 
 KEY = jax.random.key(3)
-IDLE = replace(  # every effect, most of them of no size
+IDLE = replace(  # every effect, most of zero size
     OF_PHOTONS,
     exposure_time=1.0,
     smear=1e-3,
@@ -57,7 +58,7 @@ IDLE = replace(  # every effect, most of them of no size
 
 @pytest.mark.slow
 @both_precisions
-def test_every_effect_from_no_photon_to_far_too_many(dtype):
+def test_every_effect_without_light_and_overexposed(dtype):
     sensor = as_dtype(IDLE, dtype)
 
     @jax.jit
@@ -87,7 +88,8 @@ def test_every_effect_from_no_photon_to_far_too_many(dtype):
 
 
 def of_clipped(mean, sigma, low=None, high=None):
-    """Mean and variance of a Gaussian variable clipped to [low, high], from its tails."""
+    """Return mean and variance of a Gaussian variable clipped to [low, high], computed from its
+    tails."""
     ends = [(sign, end) for sign, end in ((1, low), (-1, high)) if end is not None]
     first, second = mean, sigma**2 + mean**2
     for sign, end in ends:
@@ -103,7 +105,8 @@ def of_clipped(mean, sigma, low=None, high=None):
 @pytest.mark.slow
 @both_precisions
 def test_clipped_moments_of_noise_wider_than_the_window(dtype):
-    """Down to a millionth of a deviation: half of the values at each end, a variance of 1/4."""
+    """With windows down to a millionth of a deviation, half of the values lie at each end and the
+    variance is 1/4."""
     cases = [(0.5, 0.3), (-1, 2), (0.2, 8), (3, 9), (-1e3, 1e3), (70, 30), (0.4, 1e6), (-1e3, 1e6)]
     mean, sigma = jnp.asarray(cases, dtype).T
     ends = jnp.asarray([0, 1], dtype)
@@ -124,7 +127,7 @@ def test_clipped_moments_of_noise_wider_than_the_window(dtype):
 
 @pytest.mark.slow
 @both_precisions
-def test_counts_at_the_ends_of_their_range(dtype):
+def test_counts_at_the_ends_of_the_range(dtype):
     ends = jnp.asarray([0, 2**31 - 1, 2**31, 2**32 - 1], jnp.uint32)
     for mean in (0.0, 1e-30, 9.9999, 10.0, 1e6, 1e30, -5.0):
         means = jnp.full(4, mean, dtype)
@@ -136,7 +139,7 @@ def test_counts_at_the_ends_of_their_range(dtype):
 
 
 @both_precisions
-def test_a_well_filled_to_the_brim_keeps_its_charge(dtype):
+def test_a_pixel_at_full_well_keeps_its_charge(dtype):
     well = jnp.asarray(1000.0, dtype)
     for level in (0.0, 1000.0, 1000.0001, 1e6):
         column = jnp.full((5, 1, 1), level, dtype)
@@ -149,19 +152,19 @@ def test_a_well_filled_to_the_brim_keeps_its_charge(dtype):
 @pytest.mark.slow
 @both_precisions
 @pytest.mark.parametrize("inefficiency", [0.0, 1e-7, 0.5])
-def test_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):
+def test_charge_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):
     column = jnp.full((3000, 1, 1), 100.0, dtype)
     transfer = as_dtype(s.ChargeTransfer(inefficiency), dtype)
     read, pull = jax.vjp(transferred, column, transfer)
     assert_finite((read, pull(jnp.ones_like(read))))
-    if inefficiency < 0.1:  # of an even column each row gains what its neighbour leaves
+    if inefficiency < 0.1:  # each row gains of an even column what its neighbour leaves
         expected = 100 * (1 - inefficiency)
         np.testing.assert_allclose(read[:, 0, 0], expected, rtol=3000 * 4 * eps(dtype))
 
 
 @pytest.mark.slow
 @both_precisions
-def test_exposure_of_no_time_is_dark_not_undefined(dtype):
+def test_exposure_of_zero_time_is_dark_and_defined(dtype):
     zero = jnp.zeros((), dtype)
     for shutter in (None, s.RollingShutter(zero), s.RollingShutter(jnp.asarray(1e-3, dtype))):
 
@@ -175,7 +178,8 @@ def test_exposure_of_no_time_is_dark_not_undefined(dtype):
 
 @pytest.mark.slow
 def test_float32_and_float64_draw_the_same_frame():
-    """The bits are equal, so the pictures differ by rounding, and by one DN where it decides."""
+    """Both precisions use the same random bits, so the pictures differ by rounding, and by one DN
+    where rounding decides."""
     sensor = s.Sensor(
         prnu=0.01, shot_noise=s.GaussianShotNoise(), read_noise=5.0, gain=0.5, offset=50.0
     )
@@ -186,7 +190,7 @@ def test_float32_and_float64_draw_the_same_frame():
 
 
 def share_behind(eps, row, lag, trail):
-    """Of the packet of a row, what is read `lag` rows later."""
+    """Return the share of the packet of a row that is read `lag` rows later."""
 
     def one(k):
         return comb(row + k, k) * (1 - eps) ** (row + 1) * eps**k
@@ -198,7 +202,8 @@ def share_behind(eps, row, lag, trail):
 @pytest.mark.parametrize("eps", [1e-6, 1e-3])
 @both_precisions
 def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
-    """sum n p (1 - p), in fractions; as the difference of two sums of n it had no digit left."""
+    """The variance sum n p (1 - p) agrees with exact fractions; as the difference of two sums of n
+    it would have no digit left."""
     monkeypatch.setattr("jaxvision.sensor.ccd.gaussian", lambda key, frame, shape, dtype: 1)
     rows, columns, trail, electrons = 4, 3, 2, 1000
     transfer = as_dtype(s.ChargeTransfer(eps, serial_inefficiency=2 * eps, trail=trail), dtype)
@@ -222,7 +227,7 @@ def test_transfer_noise_of_small_inefficiencies(dtype, eps, monkeypatch):
 
 
 @both_precisions
-def test_a_pixel_far_above_the_full_well_keeps_it(dtype):
+def test_a_pixel_far_above_full_well_keeps_the_full_well(dtype):
     column = jnp.asarray([0, 1e9, 0], dtype).reshape(3, 1, 1)
     kept = bloomed(column, jnp.asarray(0.3, dtype), jnp.asarray(0, dtype)).ravel()
     np.testing.assert_array_equal(kept, np.asarray([0, 0.3, 0], dtype))

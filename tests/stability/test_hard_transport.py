@@ -1,4 +1,5 @@
-"""Interfaces and paths at the edges: grazing, critical, equal indices, nothing there, any scale."""
+"""Interfaces and paths at their limits: grazing, critical angle, equal indices, empty scenes, any
+scale."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +30,8 @@ CRITICAL = float(np.arcsin(2 / 3))
 @both_precisions
 @pytest.mark.parametrize("index", [1.0, 1.5, 1 / 1.5])
 def test_gradients_of_an_interface_are_finite(dtype, index):
-    """At the normal, along the surface, at the critical angle, for the zero vector."""
+    """Gradients are finite at the normal, along the surface, at the critical angle and for the zero
+    vector."""
 
     def total(w, index):
         split = specular(Glass(index), w)
@@ -45,7 +47,7 @@ def test_gradients_of_an_interface_are_finite(dtype, index):
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
-    """Radiance 1 from every wall of a box of albedo .5 and emission .5."""
+    """In a box of albedo .5 whose walls emit .5, the radiance is 1 from every wall."""
     half = np.array([1.0, 0.7, 0.4]) * scale
     wall = Surface(Box(half * 3, half), Lambert([0.5 / np.pi]), [0.5], two_sided=True)
     scene = as_dtype(Scene([wall], []), jnp.float32)
@@ -65,8 +67,9 @@ def test_closed_box_of_any_scale_loses_no_light_in_float32(scale):
 
 
 @both_precisions
-def test_a_ray_that_begins_on_a_mesh_meets_what_lies_ahead(dtype):
-    """Two sheets of 128 triangles in one mesh, and a start in the plane of the first."""
+def test_a_ray_that_starts_on_a_mesh_hits_what_lies_ahead(dtype):
+    """A ray that starts in the plane of the first of two parallel sheets of 128 triangles in one
+    mesh meets the second."""
     pytest.importorskip("embreex")
     place = np.linspace(-1, 1, 9)
     x, y = (v.ravel() for v in np.meshgrid(place, place, indexing="ij"))
@@ -118,7 +121,7 @@ HARD = {
 @pytest.mark.parametrize("name", sorted(HARD))
 @pytest.mark.parametrize("tracer", ["paths", "tree"])
 def test_values_and_gradients_are_finite(dtype, name, tracer):
-    """Rays along an axis, to a corner, along a surface, and away from everything."""
+    """The rays go along an axis, to a corner, along a surface, and away from everything."""
     scene = as_dtype(HARD[name], dtype)
 
     def total(scene, direction):

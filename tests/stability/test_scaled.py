@@ -1,10 +1,10 @@
 """Compositions at arguments of other sizes than those of `examples/`.
 
 In each of several calls most arguments, and most fields of their records, are multiplied by their
-own power of ten between -3 and 2, but for unit vectors; the corners of a polygon have one factor.
-The result in float32 is compared with the result in float64 for the very same numbers. It may be
-off by `ALLOWED` times what it must be off by: what a change of the arguments in the last digit of
-float32 changes in float64, and the rounding of the result, each the largest in its array. So an
+own power of ten between -3 and 2, except unit vectors; the corners of a polygon have one factor.
+The result in float32 is compared with the result in float64 for the same numbers. Its error may be
+`ALLOWED` times the unavoidable error: the effect in float64 of changing the last float32 digit of
+the arguments, plus the rounding of the result, each the largest in its array. So an
 ill-conditioned result passes, and a formula that loses five binary digits more does not. A number
 that is finite in float64, and within float32's range, must be finite.
 """
@@ -29,12 +29,12 @@ CALLS, ALLOWED = 8, 32
 SHARE = 0.6  # of the arguments are scaled, from the second call on
 NUDGES = 4  # directions in which the arguments change in their last digit
 DIGIT = float(np.finfo(np.float32).eps) / 2
-TINY, HUGE = 1e-37, 1e37  # what float32 holds, and a little room
+TINY, HUGE = 1e-37, 1e37  # the range of float32 with some margin
 
-# Arguments whose size is given: points of the unit square, whole numbers of bits, and temperatures,
-# with which a dark current doubles every few kelvin.
+# Arguments whose size is given: points of the unit square, numbers of bits, and temperatures, with
+# which a dark current doubles every few kelvin.
 OF_ONE_SIZE = ("u", "*.bits", "*temperature")
-# {name: (arguments that keep their size, why)}.
+# {name: (arguments that keep their size, reason)}.
 KEPT = {
     "development.white_balancing.grey_world_gains": ("norm", "it must be at least 1"),
     "rendering.hemisphere_integral.hemisphere_radiance": (
@@ -45,7 +45,7 @@ KEPT = {
     "lights.light_field.refocus": ("light_field.[af]*", "the windows must be parallel"),
 }
 OWN_RULE = "its rule depends on the precision, with an error that is documented, above rounding"
-# {name: why it is not compared}.
+# {name: reason why it is not compared}.
 EXCUSED = {
     "development.jpeg_loss.jpeg": "a last digit decides to which number a coefficient rounds",
     "geometry.rays.offset_origin": "its step is in last digits of its own precision",
@@ -69,13 +69,13 @@ def is_float(leaf):
 
 
 def is_one(x):
-    """Whether it is scaled as a whole: a vector, or the corners of a polygon."""
+    """Return whether an argument is scaled as a whole: a vector, or the corners of a polygon."""
     corners = isinstance(x, list | tuple) and all(isinstance(v, Vec) for v in x)
     return isinstance(x, Vec) or (corners and len(x) > 0)
 
 
 def is_direction(x):
-    """Whether it holds unit vectors alone."""
+    """Return whether an argument holds unit vectors alone."""
     if isinstance(x, Vec):
         x = np.stack([*x], axis=-1)
     vectors = hasattr(x, "shape") and x.shape[-1:] == (3,)
@@ -83,7 +83,7 @@ def is_direction(x):
 
 
 def resized(arguments, rng, kept):
-    """Arguments whose arrays and vectors, some of them, have another size."""
+    """Return the arguments, some of whose arrays and vectors have another size."""
 
     def one(path, x):
         factor = 10 ** rng.uniform(-3, 2) if rng.random() < SHARE else 1.0
@@ -96,7 +96,7 @@ def resized(arguments, rng, kept):
 
 
 def nudged(arguments, rng):
-    """Arguments whose every number is changed by about half a last digit of float32."""
+    """Return the arguments with every number changed by about half a last digit of float32."""
 
     def one(x):
         return x * (1 + DIGIT * rng.standard_normal(x.shape)) if is_float(x) else x
@@ -105,7 +105,7 @@ def nudged(arguments, rng):
 
 
 def named_call(name):
-    """(arrays, settings) of the example, each by its name."""
+    """Return (arrays, settings) of the example, each by its name."""
     arguments, options = calls()[name]
     named = dict(zip(inspect.signature(traced()[name]).parameters, arguments, strict=False))
     arrays = {k: v for k, v in options.items() if any(map(eqx.is_array, jax.tree.leaves(v)))}
@@ -113,7 +113,7 @@ def named_call(name):
 
 
 def program(name, settings, dtype):
-    """The floating results of a function in one precision, compiled."""
+    """Return a compiled function of the floating-point results in one precision."""
     settings = {k: dtype if k == "dtype" else v for k, v in settings.items()}
     function = partial(traced()[name], **settings)
     compiled = jax.jit(
@@ -125,7 +125,8 @@ def program(name, settings, dtype):
 
 
 def excess(got, true, moved):
-    """The error over what it must be; infinite where a number should be finite, and is not."""
+    """Return the error over the unavoidable error; infinite where a number should be finite and is
+    not."""
     known = np.isfinite(true) & (np.abs(true) < HUGE)
     if not known.any():
         return 0.0
@@ -136,7 +137,7 @@ def excess(got, true, moved):
 
 
 def excesses(name, seed=0):
-    """(the worst excess of its results, arguments) for each call of a composition."""
+    """Yield (the worst excess of its results, arguments) for each call of a composition."""
     example, settings = named_call(name)
     narrow, wide = program(name, settings, jnp.float32), program(name, settings, jnp.float64)
     kept = (*OF_ONE_SIZE, KEPT[name][0]) if name in KEPT else OF_ONE_SIZE
@@ -150,13 +151,13 @@ def excesses(name, seed=0):
         yield max(ratios, default=0.0), exact
 
 
-def test_what_is_left_out_is_a_composition():
+def test_excluded_names_are_compositions():
     assert KEPT.keys() | EXCUSED.keys() <= COMPOSED.keys()
     assert not KEPT.keys() & EXCUSED.keys()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(COMPOSED.keys() - EXCUSED.keys()))
-def test_float32_at_other_sizes(name):
+def test_float32_errors_at_scaled_arguments(name):
     worst, arguments = max(excesses(name), key=lambda found: found[0])
     assert worst <= ALLOWED, arguments

@@ -1,5 +1,6 @@
-"""Float32 against float64 of the same function: what rounding does to compositions, whose formulas
-other tests check. The calls are those of `examples/`."""
+"""Float32 against float64 of the same function: the rounding errors of compositions whose formulas
+other tests check. The calls are those of `examples/`.
+"""
 
 from functools import partial
 
@@ -12,7 +13,7 @@ from public_names import traced
 
 
 def calls():
-    """{name: (arguments, options)} of every public function of numbers."""
+    """Return {name: (arguments, options)} of every numerical public function."""
     return {name: call for room in ROOMS for name, call in examples_of(room).items()}
 
 
@@ -26,8 +27,8 @@ def in_dtype(tree, dtype):
 
 
 def widened(name, call):
-    """(largest error in ULP of the largest number of its array, largest in ULP of the number
-    itself, whether float32 stayed float32)."""
+    """Return (largest error in ULP of the largest number of its array, largest error in ULP of the
+    number itself, whether float32 stayed float32)."""
     arguments, options = in_dtype(call, jnp.float32)
     arrays = {k: v for k, v in options.items() if any(map(eqx.is_array, jax.tree.leaves(v)))}
     fixed = {k: v for k, v in options.items() if k not in arrays}

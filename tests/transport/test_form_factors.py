@@ -1,4 +1,4 @@
-"""Form factors against published numbers, laws of conservation and brute-force quadrature."""
+"""Form factors against published numbers, conservation laws and brute-force quadrature."""
 
 from functools import cache, partial
 
@@ -38,14 +38,15 @@ def nodes(interval, count=24):
 
 
 def by_quadrature(first, second, kernel):
-    """The integral over four lengths by 24^4 Gauss-Legendre nodes."""
+    """Return the integral over four lengths by 24^4 Gauss-Legendre nodes."""
     (a, wa), (b, wb), (c, wc), (d, wd) = (nodes(side) for side in (*first, *second))
     values = kernel(*np.meshgrid(a, b, c, d, indexing="ij"))
     return np.einsum("abcd,a,b,c,d->", values, wa, wb, wc, wd)
 
 
-def test_unit_cube():
-    """Howell's catalogue, C-11 and C-14 at equal sides, to the eight published digits."""
+def test_form_factors_of_the_unit_cube():
+    """The form factors are those of Howell's catalogue, C-11 and C-14 at equal sides, to its eight
+    digits."""
     opposite = parallel_rectangles(*scalars(1, 1, 1))
     adjoining = perpendicular_rectangles(*scalars(1, 1, 1))
     assert f"{float(opposite):.8f}" == "0.19982490"
@@ -54,8 +55,8 @@ def test_unit_cube():
 
 
 @pytest.mark.parametrize("sides", [(1, 1, 1), (0.3, 2, 5), (40, 1, 0.1), (1e-3, 1, 1)])
-def test_boxes_close(sides):
-    """What leaves the floor of any box arrives at its lid and four walls, to rounding."""
+def test_form_factors_of_a_box_sum_to_one(sides):
+    """The factors from the floor of any box to its lid and four walls sum to 1, to rounding."""
     width, depth, height = scalars(*sides)
     total = (
         parallel_rectangles(width, depth, height)
@@ -85,7 +86,7 @@ exchanges = jax.jit(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", RECTANGLES)
-def test_rectangles_anywhere_against_quadrature(case):
+def test_rectangles_at_any_place_against_quadrature(case):
     first, second, gap = RECTANGLES[case]
     a, b = np.array(first, float), np.array(second, float)
 
@@ -105,8 +106,8 @@ def test_rectangles_anywhere_against_quadrature(case):
 to_polygon = jax.jit(point_to_polygon)
 
 
-def test_a_point_sees_a_closed_room():
-    """The factors of a point of the floor to lid and walls sum to 1."""
+def test_factors_from_a_point_in_a_closed_room_sum_to_one():
+    """The factors from a point of the floor to lid and walls sum to 1."""
     floor_up, point = Vec(*scalars(0, 0, 1)), Vec(*scalars(0.3, 0.6, 0))
     walls = [CEILING, WALL]
     for _ in range(3):  # turned about the middle of the floor by 90 degrees each
@@ -119,7 +120,8 @@ def test_a_point_sees_a_closed_room():
 
 @pytest.mark.parametrize("height", [1.0, 4.9, 5.3, 50.0])
 def test_a_point_below_a_corner_of_a_square(height):
-    """Howell, B-4: a element parallel to a rectangle, below one of its corners."""
+    """The factor is that of Howell, B-4: an element parallel to a rectangle, below one of its
+    corners."""
     up, origin = Vec(*scalars(0, 0, 1)), Vec(*scalars(0, 0, 0))
     x = 1 / height
     s = np.sqrt(1 + x * x)
@@ -155,8 +157,8 @@ def test_quadrature_needs_two_nodes():
 
 
 @pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (0.3, 2.0, 0.7), (3.0, 0.5, 0.2)])
-def test_slopes_of_facing_rectangles_are_those_of_the_catalogues_formula(sides):
-    """By each length, in 30 digits."""
+def test_gradients_of_facing_rectangles_match_the_catalogue_formula(sides):
+    """The gradients by each length agree with the formula in 30 digits."""
 
     def catalogue(width, height, gap):
         x, y = width / gap, height / gap
@@ -174,8 +176,8 @@ def test_slopes_of_facing_rectangles_are_those_of_the_catalogues_formula(sides):
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("gap", [1e-4, 1e-6, 1e-8, 1e-12])
-def test_slopes_of_rectangles_that_nearly_touch(gap, dtype):
-    """Of unit squares: F = 1 - 2 g - (g^2 ln(g) ...), so that the slope by the gap tends to -2."""
+def test_gradients_of_nearly_touching_rectangles(gap, dtype):
+    """For unit squares F = 1 - 2 g - (g^2 ln(g) ...), so the derivative by the gap tends to -2."""
     one, gap = jnp.asarray(1, dtype), jnp.asarray(gap, dtype)
     slopes = jax.grad(parallel_rectangles, (0, 1, 2))(one, one, gap)
     near = 5 * gap * (1 - jnp.log(gap))

@@ -1,4 +1,4 @@
-"""A smooth interface: Snell, Fresnel, total reflection, slabs."""
+"""Smooth interfaces: Snell's law, Fresnel reflectance, total reflection, slabs."""
 
 from functools import partial
 
@@ -22,7 +22,7 @@ def at(theta, phi=0.3):
 
 
 def reflectance(theta_i, n):
-    """Fresnel from the sine and tangent of sums and differences of angles."""
+    """Return the Fresnel reflectance from sines and tangents of sums and differences of angles."""
     theta_t = np.arcsin(np.sin(theta_i) / n)
     s = np.sin(theta_i - theta_t) / np.sin(theta_i + theta_t)
     p = np.tan(theta_i - theta_t) / np.tan(theta_i + theta_t)
@@ -32,8 +32,9 @@ def reflectance(theta_i, n):
 @pytest.mark.parametrize("n", [1.5, 1 / 1.5, 1.0001, 2.4])
 @pytest.mark.parametrize("theta", [0.05, 0.4, 0.7])
 @pytest.mark.parametrize("side", [1, -1])
-def test_snell(n, theta, side):
-    """The sines' ratio, one plane, the other side, a unit vector."""
+def test_refraction_obeys_snells_law(n, theta, side):
+    """The refracted direction has the ratio of sines, lies in the plane of incidence on the other
+    side, and has length 1."""
     w = at(theta) * jnp.asarray([1.0, 1.0, side])
     t = np.asarray(as_array(refracted_direction(w, jnp.asarray(n))))
     assert np.hypot(t[0], t[1]) == pytest.approx(np.sin(theta) / n, rel=1e-13)
@@ -43,8 +44,8 @@ def test_snell(n, theta, side):
     assert t[0] * w[0] < 0
 
 
-def test_distortion_is_inverted():
-    """Through and back through: the direction it came from."""
+def test_refraction_is_reversible():
+    """Refracting back through the interface gives the original direction."""
     w, n = at(0.9), jnp.asarray(1.7)
     through = refracted_direction(w, n)
     np.testing.assert_allclose(as_array(refracted_direction(through, 1 / n)), w, rtol=1e-14)
@@ -52,7 +53,8 @@ def test_distortion_is_inverted():
 
 @pytest.mark.parametrize("theta", [0.1, 0.5, 1.2])
 def test_reflectance_from_both_sides(theta):
-    """From outside by Fresnel's angles; from inside, along the refracted ray, the same."""
+    """From outside the reflectance is Fresnel's; from inside, along the refracted ray, it is the
+    same."""
     glass, w = Glass(1.5), at(theta)
     split = brdf.specular(glass, w)
     assert float(split.reflectance[0]) == pytest.approx(reflectance(theta, 1.5), rel=1e-12)
@@ -62,7 +64,7 @@ def test_reflectance_from_both_sides(theta):
 
 
 def test_total_reflection_inside():
-    """Beyond arcsin(1 / n) all comes back, and the mirrored ray stays inside."""
+    """Beyond arcsin(1 / n) all light is reflected, and the mirrored ray stays inside."""
     critical = np.arcsin(1 / 1.5)
     for theta, total in ((critical - 1e-3, False), (critical + 1e-3, True), (1.5, True)):
         split = brdf.specular(Glass(1.5), at(theta) * jnp.asarray([1.0, 1.0, -1.0]))
@@ -74,7 +76,7 @@ def test_total_reflection_inside():
 
 
 @pytest.mark.slow
-def test_family_is_a_delta():
+def test_glass_is_a_delta_brdf():
     glass, w = Glass(1.5), at(0.6)
     assert float(brdf.evaluate(glass, w, w)[0]) == 0
     assert float(brdf.shading(glass, w, w)[0]) == 0
@@ -87,8 +89,8 @@ def test_family_is_a_delta():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("theta", "absorption"), [(0.0, None), (0.6, None), (0.6, 0.8)])
-def test_slab_in_closed_form(theta, absorption):
-    """T = (1 - R)^2 a / (1 - R^2 a^2) of a slab that absorbs 1 - a along one crossing."""
+def test_slab_transmission_in_closed_form(theta, absorption):
+    """A slab that absorbs 1 - a along one crossing transmits T = (1 - R)^2 a / (1 - R^2 a^2)."""
     n, thickness = 1.5, 0.1
     back = Quad([-50, -50, -1], [100, 0, 0], [0, 100, 0])
     glass = Glass(n, absorption=None if absorption is None else [absorption])

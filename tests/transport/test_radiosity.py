@@ -1,4 +1,5 @@
-"""Radiosity against closed rooms whose answer is known, Monte Carlo in NumPy, and differences."""
+"""Radiosity against closed rooms with known answers, Monte Carlo in NumPy, and finite
+differences."""
 
 from functools import cache, partial
 
@@ -38,7 +39,7 @@ GREY = jv.Lambert([0.5 / np.pi])
 
 
 def room(materials, *, emission=None, furniture=(), lights=()):
-    """The unit cube seen from inside: floor and lid of x, of y, of z."""
+    """Return the unit cube seen from inside, with walls in pairs: low and high x, y, z."""
     axes = np.eye(3)
     surfaces = []
     for k in range(3):
@@ -70,7 +71,7 @@ SHAPES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_patches_cover_their_shape(name):
-    """Areas sum to the shape's, polygons to no more than the curve's."""
+    """The areas of the patches sum to that of the shape; those of polygons stay below a curve's."""
     shape, area, missing = SHAPES[name]
     scene = jv.Scene([jv.Surface(shape, GREY)], [])
     plan = plan_patches(scene, size=0.5, split=2, graded=True)
@@ -105,7 +106,7 @@ def test_two_sided_surfaces_have_two_sides():
 
 
 @pytest.mark.slow
-def test_a_closed_room_closes_and_is_reciprocal():
+def test_factors_of_a_closed_room_sum_to_one_and_are_reciprocal():
     scene = room([GREY] * 6)
     plan = plan_patches(scene, size=0.34, split=2)
     table = jax.jit(lambda scene: form_factor_table(scene, plan))(scene)
@@ -119,8 +120,9 @@ def test_a_closed_room_closes_and_is_reciprocal():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("width", "low", "high"), [(1.0, 0.0, 0.0), (0.5, 0.45, 0.55)])
-def test_a_wall_between_is_seen(width, low, high):
-    """A screen across the whole room lets nothing through; half of it, by symmetry, half."""
+def test_screens_block_form_factors(width, low, high):
+    """A screen across the whole room blocks all light between floor and lid of x; half a screen, by
+    symmetry, half."""
     screen = jv.Surface(Quad([0.5, 0, 0], [0, width, 0], [0, 0, 1]), GREY, two_sided=True)
     scene = room([GREY] * 6, furniture=[screen])
     plan = plan_patches(scene, size=0.5, split=2)
@@ -134,8 +136,9 @@ ROOM = room([GREY] * 6)
 
 
 @pytest.mark.slow
-def test_what_stands_on_an_element_leaves_the_rest():
-    """A box over the quarter x < .5, y < .5 of a floor of one element."""
+def test_boxes_cover_part_of_an_element():
+    """A box over the quarter x < .5, y < .5 of a floor of one element covers that part of its
+    area."""
     floor = jv.Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
     for side, area, place in ((0.25, 0.75, 0.75), (0.3, 0.75, 0.75), (0.6, 0.0, 0.5)):
         box = jv.Surface(Box([side, side, 0.3], [side, side, 0.3]), GREY)
@@ -149,8 +152,9 @@ def test_what_stands_on_an_element_leaves_the_rest():
 
 
 @pytest.mark.slow
-def test_what_lies_under_a_box_is_covered_in_single_precision():
-    """Of areas that are no round numbers: none of what a box hides is left over by rounding."""
+def test_elements_under_a_box_are_covered_in_float32():
+    """With areas that are no round numbers, rounding leaves no uncovered remainder under the
+    box."""
     floor = jv.Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
     box = jv.Surface(Box([0.7, 0.6, 0.1], [0.1, 0.1, 0.1]), GREY)
     scene = jv.as_dtype(jv.Scene([floor, box], []), jnp.float32)
@@ -167,8 +171,9 @@ def test_what_lies_under_a_box_is_covered_in_single_precision():
 
 
 @pytest.mark.slow
-def test_half_of_an_element_in_the_shadow_is_half_as_bright():
-    """Light straight down, and a screen over the half x > .5 of the unit floor."""
+def test_a_half_shaded_element_is_half_as_bright():
+    """Under vertical light, a screen over the half x > .5 of the unit floor halves its
+    radiosity."""
     floor = jv.Surface(Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), GREY)
     screen = jv.Surface(Quad([0.5, 0, 0.5], [0.5, 0, 0], [0, 1, 0]), GREY, two_sided=True)
     scene = jv.Scene([floor, screen], [jv.DirectionalLight([0, 0, 1.0], [2.0])])
@@ -184,8 +189,8 @@ def test_half_of_an_element_in_the_shadow_is_half_as_bright():
 @pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
-def test_closed_sphere(method):
-    """Albedo .5, emission .5: radiance 1 everywhere (pbrt-v4, integrators_test.cpp)."""
+def test_radiance_in_a_closed_sphere(method):
+    """With albedo .5 and emission .5, radiance is 1 everywhere (pbrt-v4, integrators_test.cpp)."""
     ball = jv.Surface(Sphere([0.2, 0, 0], 2.0), GREY, [0.5], two_sided=True)
     scene = jv.Scene([ball], [])
     plan = plan_patches(scene, size=1.2, split=1)
@@ -197,7 +202,7 @@ def test_closed_sphere(method):
 
 
 def monte_carlo(albedos, lit, count, depth):
-    """Light leaving each wall of the unit cube, by wall number."""
+    """Return the light leaving each wall of the unit cube, by wall number."""
     rng = np.random.default_rng(5)
     place = rng.uniform(size=(count, 3)) * [lit, lit, 0] + [0, 0, 1]
     wall = np.full(count, 5)
@@ -232,8 +237,9 @@ def monte_carlo(albedos, lit, count, depth):
 
 
 @pytest.mark.slow
-def test_lamp_in_a_room_of_unlike_walls():
-    """A lamp over a quarter of the ceiling, touching two walls."""
+def test_lamp_in_a_room_of_different_walls_against_monte_carlo():
+    """A lamp over a quarter of the ceiling, which touches two walls, lights the room as Monte Carlo
+    in NumPy says."""
     albedos = [0.8, 0.2, 0.5, 0.6, 0.7, 0.4]
     lamp = jv.RectangleLight([0, 0, 1 - 1e-6], [0, 0.5, 0], [0.5, 0, 0], [1.0])
     scene = room([jv.Lambert([rho / np.pi]) for rho in albedos], lights=[lamp])
@@ -262,7 +268,8 @@ def exact_solution():
 @pytest.mark.sweep("progressive")
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_solvers_and_their_gradients(method):
-    """Values against NumPy; gradients in table, albedo and what is sent against differences."""
+    """Values agree with NumPy, and gradients by table, albedo and sent light with finite
+    differences."""
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(20, 3)))
 
     def total(*arguments):
@@ -289,8 +296,9 @@ SHELF = jv.Surface(Quad([0.2, 0.3, 0.4], [0.5, 0, 0], [0, 0.4, 0.1]), GREY)
 
 
 @pytest.mark.slow
-def test_what_patches_exchange_without_a_table():
-    """150 patches are two tiles, of which one is filled up; of any rows the same numbers."""
+def test_exchange_without_a_table_matches_the_table():
+    """150 patches are two tiles, one of which is padded; any choice of rows gives the same numbers
+    as the table."""
     scene, some = room([GREY] * 6, furniture=[SHELF]), jnp.array([3, 149, 60])
     plan = plan_patches(scene, size=0.2, split=1)
     sent = jnp.asarray(
@@ -309,7 +317,7 @@ def test_what_patches_exchange_without_a_table():
 
 @pytest.mark.slow
 def test_radiosity_without_a_table():
-    """Walls of albedo 1/2 that emit the radiance 1/2 have 1 in a closed room."""
+    """In a closed room whose walls have albedo 1/2 and emit radiance 1/2, the radiance is 1."""
 
     def total(scene, plan, method):
         table = partial(exchanged, scene, plan) if method == "iterative" else None
@@ -332,7 +340,8 @@ def test_radiosity_without_a_table():
 
 @pytest.mark.slow
 def test_radiosity_without_a_table_has_the_gradients_of_the_table():
-    """Of albedo, emission and geometry, by the transposed equation."""
+    """The gradients by albedo, emission and geometry, from the transposed equation, agree with
+    those of the table."""
     scene = room([GREY] * 6, emission={1: jnp.asarray([3.0])}, furniture=[SHELF])
     plan = plan_patches(scene, size=0.2, split=1)
 
@@ -353,12 +362,12 @@ def test_radiosity_without_a_table_has_the_gradients_of_the_table():
 
 @cache
 def cube_table():
-    """Between the elements and the patches of `ROOM` as `PLAN` cuts it."""
+    """Return the form factors between the elements and patches of `ROOM` as divided by `PLAN`."""
     return jax.jit(lambda scene: form_factor_table(scene, PLAN))(ROOM)
 
 
 def closed_room(rho):
-    """The cube's mean table, and what a few bright patches send: (table, albedo, sent)."""
+    """Return the cube's mean table, its albedo, and the light that a few bright patches send."""
     table = patch_means(cube_table(), patches_of(ROOM, PLAN, split=2), PLAN)
     sent = rho * jnp.asarray(np.random.default_rng(2).uniform(size=(len(table), 1)) ** 8)
     return table, jnp.full_like(sent, rho), sent
@@ -374,8 +383,9 @@ def closed_room(rho):
         ("direct", 0.999, jnp.float32, 3e-4),
     ],
 )
-def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
-    """In a closed room, to the stated part of the brightest patch, against NumPy in float64."""
+def test_solvers_at_high_albedo(method, rho, dtype, bound):
+    """In a closed room of high albedo, the error is within the stated part of the brightest patch,
+    against NumPy in float64."""
     table, albedo, sent = jv.as_dtype(closed_room(rho), dtype)
     truth = np.linalg.solve(
         np.eye(len(table)) - np.asarray(albedo, float) * np.asarray(table, float),
@@ -389,7 +399,8 @@ def test_light_that_is_seldom_absorbed(method, rho, dtype, bound):
 @pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_a_white_closed_room_with_light_has_no_equilibrium(method):
-    """A cube, by the form factors of Howell's C-11; its second band has a grey wall."""
+    """A white cube, by the form factors of Howell's C-11, has no solution with light; its second
+    band has a grey wall and has one."""
     opposite = 0.1998249
     table = np.full((6, 6), (1 - opposite) / 4, np.float32)
     table[np.arange(6), np.arange(6)] = 0
@@ -406,15 +417,15 @@ def test_a_white_closed_room_with_light_has_no_equilibrium(method):
 
 
 @pytest.mark.slow
-def test_shots_that_are_too_few_leave_what_they_say():
+def test_too_few_shots_leave_the_stated_remainder():
     table, albedo, sent = closed_room(0.9)
     rough, unshot = jax.jit(partial(shoot, limit=40))(table, albedo, sent)
     rest = solve_radiosity(table, albedo, sent) - rough
     assert 0.1 * rough.max() < rest.max() < unshot.max() * 0.9 / (1 - 0.9) * 1.01
 
 
-def test_rooms_that_absorb_nothing_are_found():
-    """A white closed room; one grey wall, or one wall away, lets light go."""
+def test_rooms_without_absorption_are_detected():
+    """A white closed room is found; a grey wall, or a missing one, lets light leave."""
     elements, patches = len(SOLUTION.irradiance), len(SOLUTION.radiosity)
     white, table = np.ones((6, 2), np.float32), np.full((elements, patches), 1 / patches)
     assert trapping_surface(table, white, PLAN) == 0
@@ -472,8 +483,9 @@ def test_picture_of_a_glowing_cube_is_even():
 
 
 @pytest.mark.slow
-def test_each_side_of_a_sheet_shows_its_own_light():
-    """Irradiance that differs from side to side, on the second of two sheets: k_d E."""
+def test_each_side_of_a_sheet_shows_its_own_radiosity():
+    """On the second of two sheets, whose irradiance differs from side to side, each side shows k_d
+    E."""
     sheets = [Quad([0, 0, z], [1.0, 0, 0], [0, 1.0, 0]) for z in (0.0, 1.0)]
     scene = jv.Scene([jv.Surface(sheet, GREY, two_sided=True) for sheet in sheets], [])
     plan = plan_patches(scene, size=0.5, split=1)
@@ -497,10 +509,10 @@ def test_each_side_of_a_sheet_shows_its_own_light():
 
 
 @pytest.mark.slow
-def test_the_feet_of_boxes_are_not_dark():
-    """All is 1 in a closed room of albedo .5 that glows by .5, and so are pixels of the floor .016
-    from a box on elements of .07: within 6 %, most of it half shadows of 16 rays a lamp; the mean
-    within .3 %."""
+def test_floor_beside_boxes_is_not_dark():
+    """In a closed room of albedo .5 that emits .5, all radiances are 1. Pixels of the floor .016
+    from a box on elements of .07 are within 6 %, mostly half shadows of 16 rays a lamp, and the
+    mean within .3 %."""
     boxes = [
         jv.Surface(Box([0.3, 0.3, 0.15], [0.1, 0.1, 0.15]), GREY, [0.5]),
         jv.Surface(Box([0.7, 0.6, 0.1], [0.1, 0.1, 0.1]), GREY, [0.5]),
@@ -523,7 +535,7 @@ def test_the_feet_of_boxes_are_not_dark():
 
 @pytest.mark.slow
 def test_gather_and_interpolation_agree_in_a_glowing_cube():
-    """A ray along which all is 1: gathered from walls that are 1, whatever their number."""
+    """Gathering along a ray from walls of radiance 1 gives 1, for any number of walls."""
     scene = room([GREY] * 6, emission={i: [0.5] for i in range(6)})
     even = Solution(
         SOLUTION.radiosity * np.pi,
@@ -577,13 +589,13 @@ def test_an_environment_is_seen_behind_the_scene():
         ),
     ],
 )
-def test_what_radiosity_cannot_do_is_named(surface, message):
+def test_unsupported_scenes_of_radiosity_raise(surface, message):
     first = jv.Surface(Sphere([0, 0, 0], 1.0), GREY)
     with pytest.raises(ValueError, match=message):
         plan_patches(jv.Scene([first, surface], []), size=1.0)
 
 
-def test_options_out_of_range():
+def test_options_of_radiosity_out_of_range_raise():
     with pytest.raises(ValueError, match="size must be positive, got 0"):
         plan_patches(ROOM, size=0.0)
     with pytest.raises(

@@ -1,5 +1,6 @@
-"""Light within bodies that absorb: exp(-a d) on every way, found on purpose or by chance, from the
-eye and from the light. Index 1, so that nothing is bent or mirrored."""
+"""Light within absorbing bodies: exp(-a d) along every segment, for lights that are sampled or hit
+by chance, from the camera and from the light. Index 1, so that nothing is refracted or mirrored.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -29,14 +30,14 @@ BALL = ball(2.0, [1.0])
 
 
 def both(scene, ray, depth=4):
-    """The radiance by paths and by the tree of rays."""
+    """Return the radiance by paths and by the ray tree."""
     path = by_paths(KEY, scene, ray, method=Paths(2, depth, strategy="lights"))
     return [float(path.radiance[0]), float(by_rays(scene, ray)[0])]
 
 
 @pytest.mark.slow
-def test_a_lamp_in_a_body_is_absorbed_on_the_way_to_it():
-    """Not on the way to the surface behind it."""
+def test_lamp_in_a_body_is_absorbed_up_to_the_lamp():
+    """Absorption counts up to the lamp and not to the surface behind it."""
     lamp = RectangleLight([-0.5, -0.5, 1], [1.0, 0, 0], [0, 1.0, 0], [1.0])
     ray = Ray(jnp.asarray([0.1, 0.1, 3.0]), jnp.asarray([0, 0, -1.0]))
     expected = np.exp(-(np.sqrt(4 - 0.02) - 1))
@@ -45,8 +46,9 @@ def test_a_lamp_in_a_body_is_absorbed_on_the_way_to_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
-def test_every_strategy_finds_what_a_glowing_ball_sends_through_a_body(strategy):
-    """Against a sum over the ball's surface, with exp(-d) on the way from each place of it."""
+def test_every_strategy_finds_an_emitting_ball_through_a_body(strategy):
+    """Every strategy agrees with a sum over the ball's surface, with exp(-d) from each place of
+    it."""
     centre, radius = np.array([0, 0, 1.3]), 0.5
     core = Surface(Sphere(centre, radius), Lambert([0.0]), [1.0])
     n = 400
@@ -93,8 +95,8 @@ NESTED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NESTED)
-def test_a_way_through_bodies_within_bodies(name):
-    """exp(-sum of a d) of a sky of radiance 1, straight down."""
+def test_absorption_through_nested_bodies(name):
+    """A sky of radiance 1, seen straight down, has the radiance exp(-sum of a d)."""
     surfaces, start, depth = NESTED[name]
     ray = Ray(jnp.asarray(start, float), jnp.asarray([0, 0, -1.0]))
     found = both(Scene(surfaces, [environment_map(np.ones((2, 4, 1)))]), ray, depth=6)
@@ -102,16 +104,17 @@ def test_a_way_through_bodies_within_bodies(name):
 
 
 @pytest.mark.slow
-def test_water_under_a_plane_absorbs_down_to_its_floor():
-    """1.2 m below its surface, which has no other side."""
+def test_water_below_a_plane_absorbs_down_to_its_floor():
+    """The floor lies 1.2 m below the surface of a body of water that has no other side."""
     floor = Surface(Quad([-9.0, -9, -0.5], [18.0, 0, 0], [0, 18.0, 0]), Lambert([0.0]), [1.0])
     ray = Ray(jnp.asarray([0.1, 0.2, 3.0]), jnp.asarray([0, 0, -1.0]))
     np.testing.assert_allclose(both(Scene([WATER, floor], []), ray), np.exp(-1.2), rtol=1e-5)
 
 
 @pytest.mark.slow
-def test_light_and_eye_in_one_body_see_the_same():
-    """A bulb and a camera within the ball: light tracing loses as much on its way as a path."""
+def test_light_tracing_within_a_body_matches_path_tracing():
+    """With a bulb and a camera inside the ball, light tracing is absorbed as much as path
+    tracing."""
     scene = Scene([BALL, LEAF], [PointLight([0.3, -0.1, 0.6], [3.0])])
     position, target = jnp.asarray([0.0, 0, 1.2]), jnp.asarray([0.0, 0, -0.5])
     rotation = look_at(position, target, jnp.asarray([0, 1.0, 0]))
@@ -127,8 +130,9 @@ def test_light_and_eye_in_one_body_see_the_same():
     assert (np.abs(eye.radiance - light.radiance) < 4 * error).all()
 
 
-def test_a_shadow_ray_within_a_body_is_absorbed():
-    """Camera, leaf and bulb in the ball: exp(-d) on the way to the leaf and from the bulb."""
+def test_shadow_rays_within_a_body_are_absorbed():
+    """With camera, leaf and bulb in the ball, light is multiplied by exp(-d) from bulb to leaf and
+    from leaf to camera."""
     bulb, target = np.array([0.3, -0.1, 0.6]), np.array([0.1, 0.1, -0.5])
     away = bulb - target
     d = np.linalg.norm(away)

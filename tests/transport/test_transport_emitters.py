@@ -1,5 +1,6 @@
-"""What shines, found on purpose: nothing shadows itself, at any slant and scale, and the strategies
-estimate one integral, against closed forms."""
+"""Direct sampling of emitters: none shadows itself, at any angle and scale, and the strategies
+estimate the same integral, against closed forms.
+"""
 
 from functools import partial
 
@@ -38,7 +39,7 @@ POINT = np.array([0.01, 0.02, 0])
 
 
 def wide(half):
-    """A square one metre above the floor that shines down."""
+    """Return a square one metre above the floor that emits downwards."""
     return [-half, -half, 1.0], [0, 2 * half, 0.0], [2 * half, 0, 0.0]
 
 
@@ -46,7 +47,7 @@ TILTED = [-1.0, -2.0, 0.2], [0.0, 4.0, 0.5], [3.0, 0.0, 2.0]
 
 
 def polygon_irradiance(point, corners):
-    """Lambert's contour formula, for what lies wholly above a floor."""
+    """Return the irradiance by Lambert's contour formula, for polygons wholly above the floor."""
     away = np.asarray(corners) - point
     away /= np.linalg.norm(away, axis=1)[:, None]
     following = np.roll(away, -1, axis=0)
@@ -78,9 +79,10 @@ SHAPES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", SHAPES)
-def test_what_shines_never_hides_itself(name, dtype):
-    """Of 20000 places nothing lies before one, whether the emitter is as large as the floor, 1e4
-    times as large and as far, or both are tiny; a small leaf just before it hides all of them."""
+def test_emitters_never_hide_themselves(name, dtype):
+    """For 20000 sampled places nothing lies in front of the emitter, whether it is as large as the
+    floor, 1e4 times as large and as far, or both are tiny; a small leaf just in front of it hides
+    all of them."""
     floor = Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0])
 
     def blocked(scale, of_floor):
@@ -115,8 +117,9 @@ def test_what_shines_never_hides_itself(name, dtype):
 
 
 @pytest.mark.slow
-def test_a_leaf_just_before_a_lamp_still_hides_it():
-    """One thousandth of the way before a wide lamp that shines, and of a quad above a floor."""
+def test_a_leaf_just_before_a_lamp_hides_it():
+    """The leaf lies at a thousandth of the distance in front of a wide lamp, or of an emitting
+    quad, above a floor."""
     leaf = Surface(Quad([-30.0, -30, 0.999], [60.0, 0, 0], [0, 60.0, 0]), BLACK)
     lamp = Surface(Quad(*wide(20.0)), BLACK, [1.0])
     scene = jv.as_dtype(Scene([FLOOR, lamp, leaf], []), jnp.float32)
@@ -125,7 +128,7 @@ def test_a_leaf_just_before_a_lamp_still_hides_it():
 
 
 def mean_of_paths(scene, ray, method, count):
-    """(mean, standard error) of many single paths at once."""
+    """Return (mean, standard error) of many single paths at once."""
     seed = seed_of(KEY)
 
     def one(scene, pixel):
@@ -146,8 +149,8 @@ EMITTERS = {
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", EMITTERS)
 @pytest.mark.parametrize("strategy", ["lights", "surfaces"])
-def test_both_ways_find_the_closed_form(name, strategy):
-    """A floor of albedo .5 under a surface of radiance 1 sends .5 E / pi."""
+def test_each_strategy_finds_the_closed_form(name, strategy):
+    """A floor of albedo .5 under a surface of radiance 1 has the radiance .5 E / pi."""
     shape, irradiance = EMITTERS[name]
     scene = Scene([FLOOR, Surface(shape, BLACK, [1.0])], [])
     mean, error = mean_of_paths(scene, LOOKS, Paths(1, 2, strategy=strategy), 200_000)
@@ -157,9 +160,9 @@ def test_both_ways_find_the_closed_form(name, strategy):
 
 
 @pytest.mark.slow
-def test_chance_and_purpose_share_each_of_several_emitters():
-    """Each of three emitters is drawn a third of the time, which the weight of what is found by
-    chance must know: .5 / pi times the sum of their irradiances."""
+def test_weights_among_several_emitters():
+    """Each of three emitters is drawn a third of the time, which the weight of one hit by chance
+    must include: the radiance is .5 / pi times the sum of their irradiances."""
     centre, radius = [1.8, 0.2, 0.6], 0.5  # so large that either way finds it as easily
     ball = Surface(Sphere(centre, radius), BLACK, [10.0])
     lights = [jv.RectangleLight(*wide(1.0), [1.0]), jv.PointLight([0.01, 0.02, 2.0], [0.4])]
@@ -172,8 +175,9 @@ def test_chance_and_purpose_share_each_of_several_emitters():
 
 
 @pytest.mark.slow
-def test_a_lamp_in_the_plane_of_the_ceiling_shines():
-    """A lamp that lies in a ceiling, float32, far from the floor and the world's middle too."""
+def test_a_lamp_in_the_plane_of_the_ceiling_is_not_hidden():
+    """In float32 a lamp in the plane of a ceiling lights the floor, also far from the floor and the
+    origin."""
     for scale in (1.0, 1e4):
         corner, u, v = (np.array(x) * scale for x in wide(5.0))
         ceiling = [np.array(x) * scale for x in wide(9.0)]
@@ -189,8 +193,8 @@ def test_a_lamp_in_the_plane_of_the_ceiling_shines():
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_lights_without_size_alone(dtype):
-    """albedo I cos / (pi d^2), and no surface that shines anywhere."""
+def test_point_light_alone(dtype):
+    """With a point light and no emitting surface, the radiance is albedo I cos / (pi d^2)."""
     scene = jv.as_dtype(Scene([FLOOR], [jv.PointLight([0.01, 0.02, 2.0], [3.0])]), dtype)
     traced = path_radiance(KEY, scene, jv.as_dtype(LOOKS, dtype), method=Paths(2, 3))
     assert traced.radiance.dtype == dtype
@@ -198,8 +202,8 @@ def test_lights_without_size_alone(dtype):
 
 
 @pytest.mark.slow
-def test_many_samples_count_beyond_whole_numbers():
-    """n (n - 1) of 50000 samples is no int32."""
+def test_error_of_many_samples_does_not_overflow():
+    """n (n - 1) of 50000 samples does not fit an int32."""
     scene, ray = jv.as_dtype((Scene([Surface(FLOOR.shape, BLACK, [2.0])], []), LOOKS), jnp.float32)
     traced = path_radiance(KEY, scene, ray, method=Paths(50_000, 1))
     np.testing.assert_allclose(traced.radiance, 2, rtol=1e-6)
@@ -212,9 +216,9 @@ def camera(position, target, field, pixels):
 
 
 @pytest.mark.slow
-def test_a_lamp_hides_from_the_camera_what_lies_behind_it():
-    """Its own radiance and nothing more, though the wall behind it is bright and its light passes
-    the lamp on the way to other surfaces."""
+def test_a_lamp_hides_the_wall_behind_it():
+    """A pixel of the lamp shows only the lamp's radiance, though the wall behind it is bright and
+    its light passes the lamp on the way to other surfaces."""
     wall = Surface(Quad([-2.0, -2, 0], [4.0, 0, 0], [0, 4.0, 0]), GREY)
     lights = [
         jv.RectangleLight([-0.5, -0.5, 1], [1.0, 0, 0], [0, 1.0, 0], [1.0]),  # toward the camera
@@ -227,8 +231,9 @@ def test_a_lamp_hides_from_the_camera_what_lies_behind_it():
 
 
 @pytest.mark.slow
-def test_interpolated_normals_carry_light_as_they_carry_radiance():
-    """f_r cos_s(light) E, from every side, by paths from the eye and from the light."""
+def test_interpolated_normals_in_path_and_light_tracing():
+    """The radiance is f_r cos_s(light) E from every side, by paths from the camera and from the
+    light."""
     lean = np.array([np.sin(0.6), 0, np.cos(0.6)])
     corners = [[-4.0, -4, 0], [4.0, -4, 0], [0, 5.0, 0]]
     triangle = TriangleMesh(corners, [[0, 1, 2]], normals=np.tile(lean, (3, 1)))
@@ -245,10 +250,10 @@ def test_interpolated_normals_carry_light_as_they_carry_radiance():
 
 @pytest.mark.slow
 def test_interpolated_normals_create_no_light():
-    """A white icosahedron that is shaded as a ball, under a sky of radiance 1 that it sends back
-    whole. Of the directions about the normal that shades, (1 - cos) / 2 of the light would come
+    """A white icosahedron that is shaded as a ball, under a sky of radiance 1, is nowhere brighter
+    than 1. Of the directions about the shading normal, (1 - cos) / 2 of the light would come
     through the face itself: that part is lost, up to a tenth at a corner, and so is a face seen
-    from behind that normal; nothing is gained anywhere."""
+    from behind the shading normal."""
     ball = trimesh.creation.icosahedron()
     vertices = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
     mesh = TriangleMesh(vertices, ball.faces, normals=vertices)
@@ -283,9 +288,9 @@ def test_interpolated_normals_create_no_light():
 
 
 @pytest.mark.slow
-def test_ambient_light_stands_for_what_bounces():
-    """Where light bounces it is left out: black by every tracer, and refused by the one that
-    starts at what shines."""
+def test_ambient_light_is_not_traced():
+    """Tracers that compute interreflection leave ambient light out and give black; light tracing
+    raises an error."""
     scene = Scene([FLOOR], [], ambient=jv.AmbientLight([3.0]))
     traced = path_radiance(KEY, scene, LOOKS, method=Paths(2, 3))
     np.testing.assert_array_equal(traced.radiance, 0)

@@ -1,4 +1,4 @@
-"""Ray trees against a ray-by-ray NumPy tracer; light from the sources against that from the eye."""
+"""Ray trees against a ray-by-ray tracer in NumPy; light tracing against path tracing."""
 
 from functools import partial
 
@@ -64,10 +64,10 @@ def walls_by_numpy(o, d):
 
 
 def traced_by_numpy(o, d, weight=1.0):
-    """Whitted's recursion until a branch counts for less than 1e-9."""
+    """Return the radiance by Whitted's recursion, until a branch weighs less than 1e-9."""
     if weight < 1e-9:
         return np.zeros(2)
-    d = d / np.linalg.norm(d)  # else its length drifts, and a ray meets again what it left
+    d = d / np.linalg.norm(d)  # otherwise its length drifts, and a ray meets its start again
     ball, mirror = sphere_by_numpy(o, d, *GLASS[:2]), sphere_by_numpy(o, d, *MIRROR)
     wall, emission = walls_by_numpy(o, d)
     nearest = min(ball, mirror, wall)
@@ -105,9 +105,10 @@ def spheres():
 
 
 @pytest.mark.slow
-def test_glass_and_mirror_ray_by_ray():
-    """Forty rays at both spheres, and twenty from within the glass, where radiance is squeezed
-    once: all branches above 1e-9 of an independent recursion, in 40."""
+def test_glass_and_mirror_against_a_recursive_tracer():
+    """Forty rays at both spheres, and twenty from within the glass, where radiance is scaled once,
+    have the radiance of an independent recursion with all branches above 1e-9, for trees of 40
+    rays."""
     rng = np.random.default_rng(1)
     eyes = np.repeat([[0.3, -2.5, 0.4], [0.3, -2.5, 0.4], [0.1, -0.2, 0.05]], 20, axis=0)
     targets = np.repeat([np.zeros(3), MIRROR[0], np.zeros(3)], 20, axis=0)
@@ -126,8 +127,9 @@ def test_glass_and_mirror_ray_by_ray():
 
 
 @pytest.mark.slow
-def test_trees_that_are_passed_over_change_nothing():
-    """More rays than a block, few of them to glass: the same numbers and slopes as one by one."""
+def test_ray_trees_in_blocks_match_single_rays():
+    """With more rays than a block, few of them to glass, values and gradients are those of the rays
+    one by one."""
     floor = Surface(Plane([0, 0, -1.0], [0, 0, 1.0]), jv.Lambert([0.2, 0.1]))
     ball = Surface(Sphere([0.1, 0, 0], 0.5), Glass(1.5))
     scene = Scene([floor, ball], [jv.PointLight([1.0, 0.5, 2], [3.0, 4])])
@@ -147,7 +149,7 @@ def test_trees_that_are_passed_over_change_nothing():
         return jax.jit(lambda s: (function(s), pull(s)))(scene)
 
     (expected, slope), (seen, same_slope) = map(value_and_slope, (one_by_one, together))
-    assert (np.asarray(expected) > 0).mean() > 0.8  # the glass throws a shadow
+    assert (np.asarray(expected) > 0).mean() > 0.8  # the glass casts a shadow
     np.testing.assert_allclose(seen, expected, rtol=1e-12, atol=1e-12)
     for a, b in zip(jax.tree.leaves(same_slope), jax.tree.leaves(slope), strict=True):
         if jnp.issubdtype(a.dtype, jnp.floating):
@@ -155,8 +157,8 @@ def test_trees_that_are_passed_over_change_nothing():
 
 
 @pytest.mark.slow
-def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
-    """Diffuse floor, mirror, a lamp with a soft shadow."""
+def test_ray_tree_matches_the_path_tracer_without_interreflection():
+    """For a diffuse floor, a mirror and a lamp with a soft shadow, both tracers agree."""
     floor = Surface(Plane([0, 0, 0], [0, 0, 1.0]), jv.Lambert([0.2, 0.1]))
     ball = Surface(Sphere([0.3, 0.2, 0.4], 0.3), BLACK)
     lamp = jv.RectangleLight([-0.3, -0.3, 2.0], [0, 0.6, 0], [0.6, 0, 0], [5.0, 4.0])
@@ -172,7 +174,7 @@ def test_ray_tree_is_the_path_tracer_where_nothing_bounces():
 
 
 @pytest.mark.slow
-def test_ray_tree_options_are_named():
+def test_unsupported_ray_tree_options_raise():
     with pytest.raises(ValueError, match=r"rays must be a whole number of at least 1, got 0"):
         ray_tree_radiance(spheres(), Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1])), rays=0)
 
@@ -184,7 +186,8 @@ SMALL = Surface(Sphere([0.0, 0, 0], 0.5), BLACK)
 
 
 def irradiance_from(light=None, surface=None):
-    """Mean irradiance of a disc of radius .5 at z = 0 that faces +z: by counting emitted rays."""
+    """Return the mean irradiance, and its error, of a disc of radius .5 at z = 0 that faces +z, by
+    counting emitted rays."""
     surfaces = [SMALL] if surface is None else [SMALL, surface]
     scene = Scene(surfaces, [] if light is None else [light])
     emitters, ball = emitters_of(scene), ball_around([s.shape for s in surfaces])
@@ -199,7 +202,7 @@ def irradiance_from(light=None, surface=None):
 
 
 def disc_by_quadrature(radiance_at):
-    """Mean over the receiver of an irradiance at a point, by rings."""
+    """Return the mean over the receiver of the irradiance at a point, by quadrature on rings."""
     x, w = np.polynomial.legendre.leggauss(12)
     r = 0.25 * (x + 1)
     phi = 2 * np.pi * (np.arange(16) + 0.5) / 16
@@ -257,8 +260,8 @@ SOURCES = {
 
 @pytest.mark.sweep("light field")
 @pytest.mark.parametrize("name", sorted(SOURCES))
-def test_flux_of_a_source_is_its_irradiance(name):
-    """Rays that leave, counted on a receiver, against the integral of 1 / d^2 by NumPy."""
+def test_emitted_rays_of_a_source_give_its_irradiance(name):
+    """The irradiance of a receiver by counting emitted rays is the integral of 1 / d^2 by NumPy."""
     source, at = SOURCES[name]
     mean, error = irradiance_from(**source)
     assert error < 0.05 * mean
@@ -267,7 +270,8 @@ def test_flux_of_a_source_is_its_irradiance(name):
 
 @pytest.mark.slow
 def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
-    """Emitted flux pi A L of each, and of a box; a mesh of two halves is the rectangle."""
+    """A disc, a triangle and a box emit the flux pi A L; a mesh of two halves emits that of the
+    rectangle."""
     halves = TriangleMesh(
         np.vstack([CORNERS, CORNERS[1] + CORNERS[2] - CORNERS[0]]), [[0, 1, 2], [1, 3, 2]]
     )
@@ -277,7 +281,7 @@ def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
     disc = irradiance_from(
         surface=Surface(Disc([0.0, 0, 1.0], [0, 0, -1.0], 0.3), BLACK, [2.0, 2.0])
     )
-    # coaxial discs: F of radius .5 and .3, one apart (Howell, C-41)
+    # coaxial discs: F of radii .5 and .3 at distance 1 (Howell, C-41)
     a, b, h = 0.3, 0.5, 1.0
     x = 1 + (h**2 + b**2) / a**2
     factor = (x - np.sqrt(x**2 - 4 * (b / a) ** 2)) / 2
@@ -286,7 +290,7 @@ def test_a_disc_and_a_triangle_have_the_flux_of_their_area():
 
 
 @pytest.mark.slow
-def test_infinite_light_needs_a_scene_that_ends():
+def test_infinite_lights_need_a_bounded_scene():
     scene = Scene(
         [Surface(Plane([0, 0, 0], [0, 0, 1.0]), BLACK)],
         [jv.DirectionalLight([0, 0, 1.0], [1.0, 1])],
@@ -297,7 +301,7 @@ def test_infinite_light_needs_a_scene_that_ends():
 
 
 @pytest.mark.slow
-def test_a_plane_that_shines_is_refused():
+def test_an_emitting_plane_raises():
     floor = Plane([0, 0, 0], [0, 0, 1.0])
     view = jv.Orthographic([0.0, 0, 1], np.eye(3), 0.1, resolution=(2, 2))
     scene = Scene([ROOM[0], Surface(floor, BLACK, [2.0, 2.0])], [])
@@ -323,7 +327,8 @@ EYE = jv.Pinhole(
 
 
 def chi_square(a, b):
-    """Mean of squared differences in units of their errors, over pixels that both saw."""
+    """Return the mean of squared differences in units of their errors, over pixels that both
+    tracers reached."""
     variance = np.square(a.error) + np.square(b.error)
     seen = np.asarray(variance) > 0
     assert seen.mean() > 0.9
@@ -331,13 +336,14 @@ def chi_square(a, b):
 
 
 @pytest.mark.slow
-def test_light_traced_is_path_traced():
-    """A room with a box and shadows, light from a lamp: pixel by pixel within the errors."""
+def test_light_tracing_matches_path_tracing():
+    """In a room with a box, shadows and a lamp, both tracers agree at each pixel within the
+    errors."""
     scene = Scene(ROOM, [jv.RectangleLight(*CEILING, [3.0, 2.0])])
     light = jax.jit(partial(light_traced, paths=150000, depth=4))(KEY, scene, EYE)
     path = jax.jit(partial(path_traced, method=Paths(600, 4, strategy="lights")))(KEY, scene, EYE)
     assert float(np.mean(light.error) / np.mean(light.radiance)) < 0.05
-    # 36 pixels, of which both bands are lit by the same paths
+    # 36 pixels, where both bands are lit by the same paths
     assert abs(chi_square(light, path) - 1) < 4 * np.sqrt(2 / 36)
     totals = [np.asarray(x.radiance).mean() for x in (light, path)]
     assert totals[0] == pytest.approx(totals[1], rel=0.01)
@@ -345,7 +351,7 @@ def test_light_traced_is_path_traced():
 
 @pytest.mark.slow
 def test_nan_in_the_scene_is_nan_in_the_picture_of_each_tracer():
-    """Of a lamp or a shape at NaN everywhere; of an albedo in its band alone."""
+    """A lamp or a shape at NaN gives NaN everywhere; an albedo of NaN gives NaN in its band alone."""
     view = jv.Orthographic((0, 0, 2), np.diag([1, -1, -1]), 0.9, resolution=(2, 1))
 
     @jax.jit
@@ -369,8 +375,8 @@ def test_nan_in_the_scene_is_nan_in_the_picture_of_each_tracer():
 
 
 @pytest.mark.slow
-def test_light_reaches_a_lens_that_distorts():
-    """A wall under a point light, seen through a barrel."""
+def test_light_tracing_through_a_lens_with_distortion():
+    """A wall under a point light, seen through a barrel distortion, has its exact radiance."""
     k = -0.2
     view = jv.Pinhole(
         [0.0, 0, 0], np.eye(3), 0.01, 1e-3, resolution=(16, 16), distortion=Distortion([k])
@@ -403,13 +409,13 @@ def test_light_reaches_a_lens_that_distorts():
 
 @pytest.mark.slow
 def test_caustic_of_a_glass_ball():
-    """Light gathered by glass on the floor: from a lamp large enough that paths meet it by chance,
-    both agree; light tracing is the surer by far."""
+    """For a lamp large enough that paths hit it by chance, both tracers agree on the caustic, where
+    light tracing has much the smaller error."""
     lamp = jv.RectangleLight([-0.4, -0.4, 3.0], [0, 0.8, 0], [0.8, 0, 0], [20.0, 20.0])
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.2, 0.1]))
     scene = Scene([floor, Surface(Sphere([0.0, 0, 0.7], 0.4), Glass(1.5))], [lamp])
     up = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
-    # from between ball and floor, so that the glass itself is not in the picture
+    # from between ball and floor, so that the glass is not in the picture
     view = jv.Orthographic([0.0, 0, 0.2], up * np.array([[1], [-1], [-1]]), 0.1, resolution=(8, 8))
     light = jax.jit(partial(light_traced, paths=400000, depth=6))(KEY, scene, view)
     path = jax.jit(partial(path_traced, method=Paths(6000, 6)))(KEY, scene, view)

@@ -1,4 +1,4 @@
-"""Path tracing: closed forms, quadrature, conservation, and independence of how it is computed."""
+"""Path tracing: closed forms, quadrature, conservation, and independence of tiles and parts."""
 
 import dataclasses
 from functools import partial
@@ -37,7 +37,7 @@ def unit(*v):
 
 
 def mean_of_paths(scene, ray, method, count, key=KEY):
-    """(mean, standard error) of many single paths at once."""
+    """Return (mean, standard error) of many single paths at once."""
     seed = seed_of(key)
 
     def one(pixel):
@@ -65,8 +65,9 @@ def slow(*values):
 
 @pytest.mark.sweep("balance")
 @pytest.mark.parametrize("strategy", ["balance", *slow(("lights",), ("surfaces",), ("power",))])
-def test_closed_sphere_has_radiance_one(strategy):
-    """L = Le / (1 - albedo): 1 for .5 and .5, 2 for .75 and .5; less the tail albedo^depth."""
+def test_radiance_in_a_closed_sphere(strategy):
+    """L = Le / (1 - albedo), which is 1 for .5 and .5, and 2 for .75 and .5, less the tail
+    albedo^depth."""
     method = Paths(1, 30, strategy=strategy)
     mean, error = mean_of_paths(closed([0.5, 0.75], [0.5, 0.5]), INSIDE, method, 200)
     expected = 0.5 / (1 - np.array([0.5, 0.75])) * (1 - np.array([0.5, 0.75]) ** 30)
@@ -75,7 +76,7 @@ def test_closed_sphere_has_radiance_one(strategy):
 
 @pytest.mark.slow
 def test_roulette_is_unbiased():
-    """Ends early or late, the same mean: with 60 pieces 1e-18 is left out."""
+    """Russian roulette leaves the mean unchanged; 60 segments leave out 1e-18."""
     mean, error = mean_of_paths(closed([0.5], [0.5]), INSIDE, Paths(1, 60, roulette=1), 2000)
     assert 1e-4 < error[0] < 0.05
     assert abs(mean[0] - 1) < 4 * error[0]
@@ -116,8 +117,8 @@ QUICK = ("lambert", "mirror")
 @pytest.mark.parametrize(
     "name", [*QUICK, *slow(*((name,) for name in FURNACE if name not in QUICK))]
 )
-def test_white_furnace_shows_the_albedo(name):
-    """A convex body under the same light from everywhere."""
+def test_white_furnace_gives_the_albedo(name):
+    """Under the same light from everywhere, a convex body has its albedo as radiance."""
     material = FURNACE[name]
     scene = Scene([Surface(Sphere([0.0, 0, 0], 1.0), material)], [SKY])
     mean, error = mean_of_paths(scene, GLANCE, Paths(1, 2), 3000)
@@ -127,8 +128,9 @@ def test_white_furnace_shows_the_albedo(name):
 
 
 @pytest.mark.slow
-def test_white_furnace_of_glass_is_white():
-    """Clear glass takes nothing: 1 exactly but for what is still inside after 40 pieces."""
+def test_white_furnace_of_glass_gives_one():
+    """Clear glass absorbs nothing, so the radiance is 1, except for what is still inside after 40
+    segments."""
     scene = Scene([Surface(Sphere([0.0, 0, 0], 1.0), Glass(1.5))], [SKY])
     mean, _ = mean_of_paths(scene, GLANCE, Paths(1, 40), 500)
     np.testing.assert_allclose(mean, 1, atol=1e-6)
@@ -136,7 +138,7 @@ def test_white_furnace_of_glass_is_white():
 
 # ------------------------------------------------ against quadrature
 
-LAMP = ([-0.5, -0.5, 1.5], [0.0, 1.0, 0], [1.0, 0.0, 0])  # shines down
+LAMP = ([-0.5, -0.5, 1.5], [0.0, 1.0, 0], [1.0, 0.0, 0])  # emits downwards
 FLOOR = Quad([-2.0, -2, 0], [4.0, 0, 0], [0, 4.0, 0])
 WALL = Quad([1.0, -1, 0.2], [0, 0, 1.0], [0, 2.0, 0])  # faces -x
 
@@ -157,14 +159,15 @@ def nodes(corner, u, v, order):
 
 
 def kernel(x, nx, y, ny):
-    """cos cos' / d^2 from points x to points y."""
+    """Return cos cos' / d^2 from points x to points y."""
     d = y[None] - x[:, None]
     d2 = (d**2).sum(-1)
     return np.maximum(d @ nx, 0) * np.maximum(-(d @ ny), 0) / d2**2
 
 
 def corner_by_quadrature(x):
-    """Direct light, and direct light of the wall thrown on the floor: three Gauss rules."""
+    """Return direct light plus direct light reflected by the wall to the floor, by three Gauss
+    rules."""
     up, down, left = np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([-1.0, 0, 0])
     lamp, lamp_weight = nodes(*LAMP, 24)
     wall, wall_weight = nodes([1.0, -1, 0.2], [0, 0, 1.0], [0, 2.0, 0], 40)
@@ -185,7 +188,7 @@ def corner_by_quadrature(x):
     ],
 )
 def test_direct_light_and_one_bounce_against_quadrature(strategy, lamp_is_surface):
-    """All four ways to find light, and a lamp that is a light or a surface."""
+    """Each strategy agrees with quadrature, for a lamp that is a light or a surface."""
     point, eye = np.array([0.3, 0.2, 0.0]), np.array([-1.5, 0.2, 1.0])
     ray = Ray(jnp.asarray(eye), unit(*(point - eye)))
     scene = corner_scene(lamp_is_surface=lamp_is_surface)
@@ -196,9 +199,10 @@ def test_direct_light_and_one_bounce_against_quadrature(strategy, lamp_is_surfac
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_a_lamp_is_no_shadow_of_its_own(dtype):
-    """A ceiling that shines, seen from a floor up to 89 degrees from its normal, where a shadow
-    ray that starts off the floor meets the ceiling sooner: the form factor in closed form."""
+def test_an_emitting_ceiling_does_not_shade_itself(dtype):
+    """An emitting ceiling is seen from a floor up to 89 degrees from its normal, where a shadow ray
+    that starts off the floor meets the ceiling early; the irradiance is the form factor in closed
+    form."""
     side, height = 60.0, 1.0
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([1 / np.pi]))
     lamp = Quad([30.0, -2.0, height], [0, 4.0, 0], [side - 30.0, 0, 0])
@@ -216,8 +220,8 @@ def test_a_lamp_is_no_shadow_of_its_own(dtype):
 
 
 @pytest.mark.slow
-def test_cornell_box_is_that_of_radiosity():
-    """Paths without end against patches of 6 cm and a final gather."""
+def test_cornell_box_matches_radiosity():
+    """Paths of up to 40 segments agree with radiosity on patches of 6 cm and a final gather."""
     scene, view = cornell_box.scene(emissive_surface=True), cornell_box.view(16)
     method = Paths(4096, 40, strategy="lights", roulette=3)
     paths = jax.jit(partial(path_traced, method=method))(KEY, scene, view)
@@ -247,7 +251,7 @@ VIEW = Pinhole(
 
 @pytest.mark.slow
 def test_pixels_do_not_depend_on_the_tiles():
-    """Every pixel, in pieces of any length and in any order, to the last bit."""
+    """Every pixel is equal to the last bit in tiles of any length and order."""
     method = Paths(4, 3)
     scene = corner_scene(lamp_is_surface=True)
     traced = jax.jit(partial(path_traced_pixels, method=method))
@@ -265,7 +269,7 @@ def test_pixels_do_not_depend_on_the_tiles():
 
 
 @pytest.mark.slow
-def test_samples_in_parts_are_the_samples():
+def test_samples_in_parts_match_all_samples_at_once():
     scene, at = corner_scene(lamp_is_surface=True), (np.array([2, 4]), np.array([3, 1]))
 
     def part(samples, first):
@@ -276,8 +280,9 @@ def test_samples_in_parts_are_the_samples():
 
 
 @pytest.mark.slow
-def test_a_traced_depth_is_the_depth():
-    """Between a floor and a ceiling that shines, where each piece adds light."""
+def test_a_traced_depth_matches_the_fixed_depth():
+    """Between a floor and an emitting ceiling, where each segment adds light, a traced depth gives
+    the radiance of the fixed depth."""
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.2]))
     ceiling = Surface(Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), jv.Lambert([0.2]), [1.0])
     scene, one = Scene([floor, ceiling], []), Paths(1, 4)
@@ -293,8 +298,9 @@ def test_a_traced_depth_is_the_depth():
 
 
 @pytest.mark.slow
-def test_mean_and_error_are_numpys_of_the_same_paths():
-    """Three paths from a floor to a ceiling that shines, one by one."""
+def test_mean_and_error_of_three_paths_against_numpy():
+    """Mean and standard error are those of NumPy over three paths from a floor to an emitting
+    ceiling."""
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.1, 0.2]))
     ceiling = Surface(
         Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), jv.Lambert([0.1, 0.2]), [1.0, 2]
@@ -316,7 +322,8 @@ def test_mean_and_error_are_numpys_of_the_same_paths():
 
 
 def test_a_bounce_is_traced_once(monkeypatch):
-    """Whatever the samples and the depth: tracing is what a compile cache cannot keep."""
+    """The bounce is traced once for any number of samples and depth, since a compile cache cannot
+    save the time of tracing."""
     from jaxvision.transport import paths
 
     calls, bounce = [], paths._bounce
@@ -334,9 +341,9 @@ def test_a_bounce_is_traced_once(monkeypatch):
 
 
 @pytest.mark.slow
-def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
-    """A bounce asks a material for the density of the direction drawn and, to weigh both ways of
-    finding light, for that toward the lamp; not where no ray can meet what shines."""
+def test_unneeded_densities_are_not_computed(monkeypatch):
+    """At each bounce a material computes the density of the drawn direction and, for the balance
+    strategy, that toward the lamp, unless no ray can hit an emitter."""
     pdf, asked = brdf.pdf, []
     monkeypatch.setattr(brdf, "pdf", lambda *arguments: asked.append(1) or pdf(*arguments))
     ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
@@ -361,7 +368,7 @@ def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
 
 @pytest.mark.slow
 def test_gradient_in_a_roughness_is_right_on_average():
-    """The drawn directions are held, and yet the mean gradient is that of the albedo."""
+    """The drawn directions have no gradient, and yet the mean gradient is that of the albedo."""
 
     def material(roughness):
         return jv.TorranceSparrow([0.05], [0.9], roughness)
@@ -396,14 +403,15 @@ def test_gradient_in_a_roughness_is_right_on_average():
         ({"roulette": -1}, r"Paths.roulette must be a whole number of at least 0, got -1."),
     ],
 )
-def test_options_out_of_range_are_named(options, message):
+def test_path_options_out_of_range_raise(options, message):
     with pytest.raises(ValueError, match=message):
         Paths(**options)
 
 
 @pytest.mark.slow
-def test_nothing_shines_and_nothing_is_met():
-    """A scene without light is black; a ray that meets nothing is black or sees the sky."""
+def test_scenes_without_light_and_rays_without_hits():
+    """A scene without light is black; a ray that hits nothing is black or has the radiance of the
+    sky."""
     up = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1))
     dark = Scene([Surface(Plane([0, 0, 0], [0, 0, 1.0]), jv.Lambert([0.2]))], [])
     for ray in (up, Ray(up.origin, -up.direction)):
@@ -413,8 +421,9 @@ def test_nothing_shines_and_nothing_is_met():
     assert float(path_radiance(KEY, lit, up, method=Paths(2, 4)).radiance[0]) == pytest.approx(3)
 
 
-def test_an_endless_floor_that_alone_shines_lights_by_its_albedo():
-    """It has no place to draw. A black one of radiance 2 below a ceiling of albedo .3 gives .6."""
+def test_an_emitting_infinite_floor_lights_a_ceiling():
+    """The plane cannot be sampled by area. Above a black floor of radiance 2, a ceiling of albedo
+    .3 has radiance .6."""
     floor = Surface(Plane([0.0, 0, 0], [0, 0, 1.0]), jv.Lambert([0.0]), [2.0])
     ceiling = Surface(Plane([0.0, 0, 2], [0, 0, -1.0]), jv.Lambert([0.3 / np.pi]))
     up, scene = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1)), Scene([floor, ceiling], [])
@@ -423,8 +432,8 @@ def test_an_endless_floor_that_alone_shines_lights_by_its_albedo():
 
 
 @pytest.mark.slow
-def test_box_that_shines_lights_as_its_faces_do():
-    """Drawn by area over six faces, or met by chance: one irradiance."""
+def test_an_emitting_box_by_both_strategies():
+    """Sampled by area over six faces, or hit by chance, the box gives the same irradiance."""
     lamp = Surface(Box([0.2, 0, 1.0], [0.2, 0.3, 0.1]), jv.Lambert([0.0]), [5.0])
     scene = Scene([Surface(FLOOR, jv.Lambert([0.3])), lamp], [])
     ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))

@@ -89,26 +89,26 @@ RELATIVE = Range(1e-6, 1.0)
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of the table: a function beside an oracle.
+    """One row of the table: a function and its oracle.
 
     Attributes:
         name: of the public function, below `jaxvision` (or `fitting`, with that word before it).
-        call: of ONE point's arrays, to one array or a tuple of them.
-        oracle: `oracle(m, *arguments)` of many points, to as many arrays as there are `parts`.
+        call: takes the arrays of ONE point, returns one array or a tuple of them.
+        oracle: `oracle(m, *arguments)` takes many points, returns one array for each of `parts`.
         domain: how each argument is drawn: `Range`, `Columns`, `Unit`.
-        hard: arguments at which a naive formula breaks.
-        bound: units in the last place that float32 and float64 may be off.
+        hard: arguments at which a naive formula fails.
+        bound: allowed error in float32 and float64, in units in the last place.
         form: what distinguishes the row from others of the function.
-        parts: what the results are called.
-        conditioned: in units of the last place times 1 + sum |x df/dx| / |f|, because the result
-            is a difference, or an exponential, of what was rounded; `note` says which.
-        gradient: the error that a slope in float32 may have, relative; None for none.
-        of_quotient: the share of f / x that a slope's error may also be relative to, where the
-            slope is a difference of numbers of that size; `note` says of which.
-        turn: of a part called "hue": `turn(m)`, which makes no difference.
+        parts: names of the results.
+        conditioned: the bound is in units in the last place times 1 + sum |x df/dx| / |f|, because
+            the result is a difference, or an exponential, of rounded numbers; `note` says which.
+        gradient: allowed relative error of a derivative in float32; None if it is not tested.
+        of_quotient: share of f / x to which a derivative's error may also be relative, where the
+            derivative is a difference of numbers of that size; `note` says of which.
+        turn: of a part called "hue": `turn(m)`, its period.
         of_digits: the oracle needs functions that only mpmath has; fewer points are drawn.
         precisions: in which it is measured.
-        note: what a reader should know.
+        note: remarks for the reader.
     """
 
     name: str

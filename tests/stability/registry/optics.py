@@ -1,4 +1,4 @@
-"""The lens, its aperture, diffraction."""
+"""Oracles for the lens, its aperture and diffraction."""
 
 import jax.numpy as jnp
 from oracle_numbers import MP, special
@@ -40,7 +40,7 @@ def thick(m, a, b, n, t):
 
 
 def lens(m, d, r1, r2):
-    """The area that two discs share: two circular segments."""
+    """Return the area of overlap of two discs, the sum of two circular segments."""
     a1 = (d * d + r1 * r1 - r2 * r2) / (2 * d * r1)
     a2 = (d * d + r2 * r2 - r1 * r1) / (2 * d * r2)
     apart, inside = d >= r1 + r2, d <= m.abs(r1 - r2)
@@ -70,7 +70,7 @@ def sinc(m, f):
 
 
 def of_pinhole(row):
-    """Irradiance behind a pinhole, of which the pixel lies `row` pitches off the axis."""
+    """Return the irradiance behind a pinhole at a pixel `row` pitches off the optical axis."""
     view = Pinhole(
         jnp.zeros(3, row.dtype),
         jnp.eye(3, dtype=row.dtype),

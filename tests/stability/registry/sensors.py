@@ -1,4 +1,4 @@
-"""Spectra, photons, sensors, and what is left of a signal that is clipped."""
+"""Oracles for spectra, photons, sensors and the moments of clipped signals."""
 
 import jax.numpy as jnp
 from oracle_numbers import MP, special
@@ -21,7 +21,7 @@ def planck(m, wavelength, kelvin):
 
 
 def censored_moments(mean, variance, low, high):
-    """Mean and variance of a Gaussian clipped to [low, high], in 60 digits."""
+    """Return the mean and variance of a Gaussian clipped to [low, high], in 60 digits."""
     with MP.workdps(80):
         s = MP.sqrt(variance)
         a, b = (low - mean) / s, (high - mean) / s
@@ -48,7 +48,8 @@ clipped_variance = special(lambda m, v, a, b: censored_moments(m, v, a, b)[1])
 
 
 def both(mean, sd):
-    """In units of the window [0, 1]."""
+    """Return the moments of a Gaussian clipped to [0, 1]; mean and deviation in units of the
+    window."""
     one = jnp.ones_like(mean)
     return tuple(sensor.censored(jv.Moments(mean, sd * sd), low=0 * one, high=one))
 
@@ -100,7 +101,7 @@ def widths(m, w):
 
 
 def of_daylight(m, basis, kelvin):
-    """CIE 15:2018, 4.1.2, for one wavelength."""
+    """Return CIE daylight at one wavelength (CIE 15:2018, 4.1.2)."""
     t = 1000 / kelvin
     low = m.c("0.244063") + m.c("0.09911") * t + m.c("2.9678") * t**2 - m.c("4.6070") * t**3
     high = m.c("0.237040") + m.c("0.24748") * t + m.c("1.9018") * t**2 - m.c("2.0064") * t**3

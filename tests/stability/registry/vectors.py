@@ -1,4 +1,4 @@
-"""Vectors, directions, rays."""
+"""Oracles for vectors, directions and rays."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +28,7 @@ def unit(*v):
 
 
 class NearTo:
-    """Unit vectors beside (0, 0, 1): log-uniform angles from 1e-5 to 0.7 rad."""
+    """Unit vectors near (0, 0, 1): log-uniform angles from 1e-5 to 0.7 rad."""
 
     def __str__(self):
         return "unit, 1e-05…0.7 rad from z"
@@ -40,14 +40,15 @@ class NearTo:
 
 
 def sphere_hit(m, origin, direction):
-    """The unit sphere about the origin, seen from outside by a ray of any length."""
+    """Return the distance to the unit sphere about the origin along a ray from outside of any
+    length."""
     a, b = inner(direction, direction), inner(origin, direction)
     c = inner(origin, origin) - 1
     return (-b - m.sqrt(b * b - a * c)) / a
 
 
 class Toward:
-    """Unit directions from (0, 0, 5) that meet the unit sphere well inside its rim."""
+    """Unit directions from (0, 0, 5) that meet the unit sphere well inside its outline."""
 
     def __str__(self):
         return "unit, toward a sphere"
