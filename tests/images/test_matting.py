@@ -487,7 +487,7 @@ def hair(seed, *, side=24, texture=0.05, noise=0.003):
     [(0.0, 2), *(pytest.param(x, 12, marks=pytest.mark.slow) for x in (0.0, 0.05, 0.1))],
 )
 def test_errors_of_mattes_are_those_of_simulated_hair(texture, seeds):
-    """The stated errors hold for the matte, and for the subject composed over another background."""
+    """The stated errors hold for the matte and for the subject composed over a new background."""
     z, share, of_over, new = [], [], [], np.broadcast_to([0.9, 0.8, 0.2, 1.0], (24, 24, 4))
     for seed in range(seeds):
         image, trimap, alpha, (front, _) = hair(seed, texture=texture)

@@ -351,7 +351,7 @@ def test_light_tracing_matches_path_tracing():
 
 @pytest.mark.slow
 def test_nan_in_the_scene_is_nan_in_the_picture_of_each_tracer():
-    """A lamp or a shape at NaN gives NaN everywhere; an albedo of NaN gives NaN in its band alone."""
+    """A lamp or shape at NaN gives NaN everywhere, an albedo of NaN gives NaN in its band alone."""
     view = jv.Orthographic((0, 0, 2), np.diag([1, -1, -1]), 0.9, resolution=(2, 1))
 
     @jax.jit
