@@ -256,7 +256,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
             spread, scale, relative = pattern.response, 100.0, 0.0
         why = _why_hidden(pattern, spread)
         found.append(
-            deviation_estimate(quantity, spread, why, scale, relative=relative, method=method)
+            deviation_estimate(quantity, spread, why, scale=scale, relative=relative, method=method)
         )
     return tuple(found)
 
@@ -265,8 +265,8 @@ def deviation_estimate(
     what: Named,
     spread: Spread,
     why: str,
-    scale: float = 1.0,
     *,
+    scale: float = 1.0,
     relative: float = 0.0,
     method: str = "",
 ) -> Estimate:

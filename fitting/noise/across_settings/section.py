@@ -202,7 +202,7 @@ def _die_estimates(calibration: CameraCalibration) -> list[Estimate]:
         if pooled is not None and pooled.serves:
             why = "{}, hidden under temporal noise; take more frames"
             spread = Spread(pooled.value, pooled.known_to, pooled.parts)
-            found.append(deviation_estimate(what, spread, why, scale))
+            found.append(deviation_estimate(what, spread, why, scale=scale))
     return found
 
 

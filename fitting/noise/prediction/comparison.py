@@ -245,7 +245,7 @@ def _predict(
         unit = np.repeat([step, step**2], len(places))
         at = np.concatenate([places, places + values.shape[1]])
         die[np.ix_(at, at)] = own * np.outer(unit, unit)
-    unit = step * number_of(sensor, "gain", 1.0)
+    unit = step * number_of(sensor, "gain", absent=1.0)
     shared = ("row_noise", "column_noise", "frame_noise")
     rows, columns, frames = ((unit * number_of(sensor, field)) ** 2 for field in shared)
     over_light = np.zeros_like(values)
@@ -296,7 +296,9 @@ def _scale_light(
     """Fit the scale of the light to the frames' means; return the scaled levels."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     signal = (seen[0] - origin) / step - number_of(sensor, "offset")
-    rate = number_of(sensor, "gain", 1.0) * number_of(sensor, "quantum_efficiency", 1.0)
+    rate = number_of(sensor, "gain", absent=1.0) * number_of(
+        sensor, "quantum_efficiency", absent=1.0
+    )
     light = np.asarray(lit.light)
     bright = shown & (light > 0)
     factor = float(np.median(signal[bright] / (rate * light[bright])))

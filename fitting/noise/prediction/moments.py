@@ -26,7 +26,7 @@ OFFSETS = ("dsnu", "row_dsnu", "column_dsnu")  # fields of a sensor
 MOST = 1024  # most offsets; for a wider spread they are farther apart
 
 
-def number_of(sensor: Sensor, field: str, absent: float = 0.0) -> float:
+def number_of(sensor: Sensor, field: str, *, absent: float = 0.0) -> float:
     """Return a number of a sensor, or that of a sensor without this field."""
     value = getattr(sensor, field)
     return absent if value is None else float(value)
@@ -232,7 +232,7 @@ def clipped(
     Divided by the number of pixels, it is the sampling covariance of averages over all pixels,
     between sensors with equal mean and spread of the offsets. Codes below `lowest` became
     `lowest`."""
-    spread = number_of(sensor, "gain", 1.0) * rms_of(sensor, OFFSETS)
+    spread = number_of(sensor, "gain", absent=1.0) * rms_of(sensor, OFFSETS)
     count = 2 ** int(np.ceil(np.log2(np.clip(2 * REACHED * spread / FINE, 1, MOST))))
     places = np.linspace(-REACHED, REACHED, count + 1) if count > 1 else np.zeros(1)
     weights = np.exp(-(places**2) / 2)

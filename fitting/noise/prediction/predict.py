@@ -164,7 +164,7 @@ def predict(
     unstated = [field for field in NOISES if getattr(camera, field) is None]
     dithered = camera
     if camera.read_noise is None:  # the effect of rounding on means depends on it
-        step = (measurement.converter.step or 1.0) * number_of(camera, "gain", 1.0)
+        step = (measurement.converter.step or 1.0) * number_of(camera, "gain", absent=1.0)
         read = np.sqrt(np.asarray(measurement.dark.variance).mean()) / step
         dithered = replace(camera, read_noise=read)
         if draws is not None:
@@ -233,7 +233,7 @@ def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) ->
 def _contradiction(camera: Sensor, measurement: PhotonTransfer) -> str:
     """Return a sentence if dark signal or black level contradict the camera's; else ""."""
     dark, converter = measurement.dark, measurement.converter
-    step, gain = converter.step or 1.0, number_of(camera, "gain", 1.0)
+    step, gain = converter.step or 1.0, number_of(camera, "gain", absent=1.0)
     black = converter.origin + step * number_of(camera, "offset")
     longest = int(np.argmax(np.asarray(dark.exposure)))
     time, mean = float(dark.exposure[longest]), float(dark.mean[longest])
@@ -264,7 +264,7 @@ def _pattern_in_words(
         return []
     found, local = fitted_pattern(measurement, usable), local_pattern(measurement, usable)
     noise, sentences = np.sqrt(np.asarray(dark.variance)), []
-    gain = number_of(camera, "gain", 1.0) * (measurement.converter.step or 1)
+    gain = number_of(camera, "gain", absent=1.0) * (measurement.converter.step or 1)
     kinds = (
         ("offsets", OFFSETS, found.dark, 1 / gain, " e⁻", LEAST_OFFSETS * float(noise.min())),
         ("gains", GAINS, found.response, 100.0, " %", LEAST_GAINS),
@@ -297,7 +297,7 @@ def _structure_in_words(
     """Return sentences on taps, halves or a mosaic of frames that are predicted as one channel."""
     if measurement.site is not None:
         return []
-    gain = number_of(camera, "gain", 1.0) * (measurement.converter.step or 1)
+    gain = number_of(camera, "gain", absent=1.0) * (measurement.converter.step or 1)
     sentences = periodic_in_words(periodic_structure(measurement, usable), gain, fitted=False)
     return [*sentences, *(OF_ALL_PIXELS,) * bool(sentences)]
 
