@@ -272,6 +272,7 @@ def calibrate(
         why = str(error)
     periodic = periodic_structure(measurement, usable)
     unequal = unequal_gains_of(periodic)
+    lamp = 0.0 if likelihood is None else lamp_error(likelihood.chosen)
     patterns = None
     if measurement.bright.spatial_variance is not None:
         fit_to_all = fitted_pattern(measurement, usable)
@@ -285,9 +286,7 @@ def calibrate(
         standard=standard,
         likelihood=likelihood,
         no_likelihood=why,
-        sheet=_widened_by_lamp(
-            tuple(widened(one, unequal) for one in sheet), likelihood and likelihood.chosen
-        ),
+        sheet=tuple(widened(one, unequal, lamp=lamp) for one in sheet),
         patterns=patterns,
         left_out=gone,
         flicker=flicker,
@@ -375,13 +374,14 @@ def steady_linearity(calibration: NoiseCalibration) -> tuple[float, float]:
     return float(values["linearity_error_min"]), float(values["linearity_error_max"])
 
 
-def widened(estimate: Estimate, unequal: float) -> Estimate:
-    """Return an estimate whose error includes the unequal gains of pixel classes."""
-    if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
+def widened(estimate: Estimate, unequal: float, *, lamp: float = 0.0) -> Estimate:
+    """Return an estimate with the relative errors of unequal gains of pixels and of the lamp."""
+    name, value = estimate.name, estimate.value
+    relative = np.hypot(unequal * (name in ON_GAIN), lamp * (name in NEED_PHOTONS))
+    if not relative or value is None:
         return estimate
-    error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
-    quantity = BY_NAME[estimate.name]
-    return sheet_estimate(quantity, estimate.value, error, estimate.method)
+    error = float(np.hypot(estimate.standard_error or 0.0, relative * value))
+    return sheet_estimate(BY_NAME[name], value, error, estimate.method)
 
 
 def lamp_error(fit: LikelihoodFit) -> float:
@@ -411,22 +411,6 @@ def lamp_error(fit: LikelihoodFit) -> float:
 def _means(values: dict[str, Array], data: NoiseData) -> Array:
     """Return the expected mean of each level in the stated light, DN."""
     return predicted_moments(values, data, data.light).mean
-
-
-def _widened_by_lamp(
-    sheet: tuple[Estimate, ...], fit: LikelihoodFit | None
-) -> tuple[Estimate, ...]:
-    """Return the data sheet with the error of a drifting lamp in figures per photon."""
-    relative = 0.0 if fit is None else lamp_error(fit)
-    if not relative:
-        return sheet
-    found = []
-    for one in sheet:
-        if one.name in NEED_PHOTONS and one.value is not None:
-            error = float(np.hypot(one.standard_error or 0.0, relative * one.value))
-            one = sheet_estimate(BY_NAME[one.name], one.value, error, one.method)
-        found.append(one)
-    return tuple(found)
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:
