@@ -36,6 +36,7 @@ from .emva1288 import least_dark_variance
 from .levels import Doubt, PhotonTransfer, linear_levels, shot_of, signal_of
 from .pattern import pattern_variance
 from .quantities import ON_GAIN
+from .regressions import least_squares
 
 SKEWED, NEAR = 1.5, 0.15  # ratio to the third cumulant of light alone, and tolerance
 SURE_OF_SKEW = 6.0  # standard errors
@@ -174,12 +175,8 @@ def trend_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
     if found is None:
         return None
     shares, noise, frames = found
-    weights = 1 / noise
-    share = float(np.sum(weights * shares) / np.sum(weights))
-    degrees = len(usable) - 1
-    scatter = max(float(np.sum(weights * (shares - share) ** 2)) / degrees, 1.0)
-    error = float(np.sqrt(scatter / np.sum(weights)))
-    return Drifting(share, error, int(frames.sum()))
+    mean = least_squares((1.0,), shares, errors=np.sqrt(noise))
+    return Drifting(float(mean.values[0]), float(mean.errors[0]), int(frames.sum()))
 
 
 FEWEST_TIMES = 6
@@ -204,11 +201,7 @@ def printed_times(
 
 def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " levels"]) -> float:
     """Return the rms deviation of ln(signal / time) from a smooth curve over time."""
-    x = times / times.max()
-    design = np.stack([np.ones_like(x), x, times.min() / times], axis=1)
-    rates = np.log(signal / times)
-    rest = rates - design @ np.linalg.lstsq(design, rates)[0]
-    return float(np.sqrt(np.sum(rest**2) / (len(x) - design.shape[1])))
+    return least_squares((1.0, times, 1 / times), np.log(signal / times)).misfit ** 0.5
 
 
 FALSE_ALARM_PROBABILITY = 1e-4  # probability that darks of a faultless camera seem to fade

@@ -21,7 +21,7 @@ from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import Periodic, periodic_in_words, taps_of
 from .raw_frames import BLOCK, compressed_in_words, processing_in_words
-from .regressions import MISFIT, Part, deviation_quantiles
+from .regressions import MISFIT, Part, deviation_quantiles, least_squares
 from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
 
@@ -335,21 +335,17 @@ def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, f
     if np.count_nonzero(low) < FEWEST_FOR_NOISE or not fine or measurement.doubts:
         return None
     error = np.asarray(bright.variance_error)[usable]
-    x = signal / signal.max()
-    design = np.stack([np.ones_like(x), x, x**2], axis=1) / error[:, None]
-    found, squares, *_ = np.linalg.lstsq(design, shot / error)
-    covariance = np.linalg.inv(design.T @ design)
-    covariance *= max(float(squares.sum()) / (len(x) - design.shape[1]), 1.0)
+    found = least_squares((1.0, signal, signal**2), shot, errors=error)
     of_dark = np.median(np.asarray(dark.variance_error)) / np.sqrt(len(np.asarray(dark.mean)))
     own = float(np.median(np.asarray(dark.variance)))
-    flats = own + float(found[0])
-    least = SURE_OF_NOISE * float(np.hypot(np.sqrt(covariance[0, 0]), of_dark))
+    flats = own + float(found.values[0])
+    least = SURE_OF_NOISE * float(np.hypot(found.errors[0], of_dark))
     ratio = abs(np.log(max(flats, 1e-9) / own))
     return {
         "flats": float(np.sqrt(max(flats, 0.0))),
         "darks": float(np.sqrt(own)),
         "factor": float(np.sqrt(1 + least / own)),
-        "differ": bool(abs(found[0]) > least and ratio > 2 * LEAST_RATIO_OF_NOISE),
+        "differ": bool(abs(found.values[0]) > least and ratio > 2 * LEAST_RATIO_OF_NOISE),
     }
 
 
@@ -377,11 +373,9 @@ def _dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     light, signal = light[rest], signal_of(measurement)[usable][rest]
     if len(light) < FEWEST_FOR_OFFSET:
         return False
-    x = light / light.max()
-    design, rates = np.stack([np.ones_like(x), x, 1 / x], axis=1), signal / light
-    found, squares, *_ = np.linalg.lstsq(design, rates)
-    covariance = np.linalg.inv(design.T @ design) * squares[0] / (len(x) - design.shape[1])
-    return bool(abs(found[2]) < DISAGREEMENT_SIGMAS * np.sqrt(covariance[2, 2]))
+    found = least_squares((1.0, light, 1 / light), signal / light)
+    error = np.sqrt(found.covariance[2, 2] * found.misfit)
+    return bool(abs(found.values[2]) < DISAGREEMENT_SIGMAS * error)
 
 
 def _brighter_fatter(calibration: NoiseCalibration) -> Numbers | None:

@@ -18,6 +18,7 @@ from ..frame_checks.frame import listed
 from .levels import PhotonTransfer, shot_of, signal_of
 from .live_pixels import LivePixels, line_products
 from .pattern import local_variances
+from .regressions import least_squares
 
 BLOCK = 8  # pixels of a side
 SIGNIFICANCE_SIGMAS = 6.0  # standard errors
@@ -205,11 +206,8 @@ def _find_denoising(measurement: PhotonTransfer, usable: np.ndarray) -> list[str
         return []
     slope = 0.0
     for powers in ((0, 1, 2), (0, 1, 2, 3)):  # a curved response adds a cube
-        design = np.stack([x**power for power in powers], axis=1) / scale[:, None]
-        covariance = np.linalg.pinv(design.T @ design)
-        found = covariance @ (design.T @ (y / scale))
-        misfit = np.sum((y / scale - design @ found) ** 2) / max(len(y) - len(powers), 1)
-        error = np.sqrt(covariance[1, 1] * max(misfit, 1))
+        fit = least_squares([x**power for power in powers], y, errors=scale)
+        found, error = fit.values, fit.errors[1]
         # Correlated offsets and gains of pixels add at most this.
         together = 2 * np.sqrt(max(found[0], 0) * max(found[2], 0))
         slope = float(found[1] - together) / top

@@ -108,6 +108,35 @@ def inflation(chi_square: float, degrees: float) -> float:
     return chi_square / degrees if beyond else 1.0
 
 
+class Fitted(NamedTuple):
+    """A sum of terms, fitted by least squares."""
+
+    values: Float[np.ndarray, " terms"]  # coefficients of the terms
+    covariance: Float[np.ndarray, "terms terms"]  # by the errors of the data
+    misfit: float  # chi-square per degree of freedom
+
+    @property
+    def errors(self) -> Float[np.ndarray, " terms"]:
+        """Standard errors of the coefficients, enlarged if the data scatter by more than theirs."""
+        return np.sqrt(np.diagonal(self.covariance) * max(self.misfit, 1.0))
+
+
+def least_squares(
+    terms: Sequence[np.ndarray | float],
+    y: Float[np.ndarray, " data"],
+    *,
+    errors: Float[np.ndarray, " data"] | float = 1.0,
+) -> Fitted:
+    """Fit a sum of terms, each with one coefficient, to data with these standard errors."""
+    design = np.stack([term / errors * np.ones(len(y)) for term in terms], axis=1)
+    scale = np.sqrt(np.sum(design**2, axis=0))
+    inverse = np.linalg.pinv(design / scale) / scale[:, None]
+    values = inverse @ (y / errors)
+    degrees = max(len(y) - len(terms), 1)
+    misfit = float(np.sum((y / errors - design @ values) ** 2)) / degrees
+    return Fitted(values, inverse @ inverse.T, misfit)
+
+
 class Part(NamedTuple):
     """A part of a variance, estimated from a sample."""
 

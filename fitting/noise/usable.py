@@ -10,6 +10,7 @@ from jaxvision.errors import InputError
 from .emva1288 import least_dark_variance
 from .levels import PhotonTransfer, linear_levels, shot_of, signal_of
 from .raw_frames import tone_curve
+from .regressions import least_squares
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
@@ -145,12 +146,14 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
     )
     there = np.asarray(measurement.dark_of)[levels]
     black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
-    by_variance, slope, error = _extrapolated_zero(mean, variance - noise, errors)
-    by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
-    by_light, _, light_error = _extrapolated_zero(light, mean, np.sqrt(variance))
+    of_variance = least_squares((1.0, mean, mean**2), variance - noise, errors=errors)
+    of_light = least_squares((1.0, light, light**2), mean, errors=np.sqrt(variance))
+    slope, by_light = of_variance.values[1], of_light.values[0]
+    by_variance = -of_variance.values[0] / slope
+    error = np.hypot(of_variance.errors[0], noise) / abs(slope)
     off = np.array([by_variance, by_light]) - black
     signal = float(mean.min() - by_variance)
-    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
+    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, of_light.errors[0]]))
     alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
     if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
         raise InputError(
@@ -158,16 +161,3 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
             f"variance and {by_light:.4g} DN by their light, but the darks have {black:.4g} DN; "
             "give flats and darks with the same offset, without any subtraction."
         )
-
-
-def _extrapolated_zero(
-    x: np.ndarray, y: np.ndarray, errors: np.ndarray
-) -> tuple[float, float, float]:
-    """Fit a parabola; return its value and slope at x = 0, and the value's error."""
-    design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
-    scale = np.sqrt(np.sum(design**2, axis=0))
-    found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
-    covariance = np.linalg.pinv((design / scale).T @ (design / scale))
-    misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
-    value, slope, _ = found / scale
-    return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])

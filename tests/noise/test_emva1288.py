@@ -12,7 +12,7 @@ from scipy import stats as scipy_stats
 from fitting.noise.emva1288 import evaluate, linearity_errors, ranges, sheet, statistics
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.pattern import fitted_pattern, standard_pattern
-from fitting.noise.regressions import surprise
+from fitting.noise.regressions import least_squares, surprise
 
 
 def measurement_of(light, exposure, bright, dark, *, pixels=10_000, frames=2, **options):
@@ -209,3 +209,18 @@ def test_fixed_pattern_is_recovered_within_its_errors():
         assert found.dark.error < 0.03 * dsnu_square
         assert found.response.error < 0.1 * prnu_square
     assert found.chi_square_per_dof < 2
+
+
+@pytest.mark.parametrize("scatter", [0.1, 5.0])
+def test_least_squares_are_those_of_polyfit(scatter):
+    rng = np.random.default_rng(0)
+    x, errors = 1e4 * rng.uniform(1, 2, 12), rng.uniform(1, 2, 12)
+    y = 3 + x + 1e-5 * x**2 + scatter * errors * rng.standard_normal(12)
+    found = least_squares((1.0, x, x**2), y, errors=errors)
+    values, covariance = np.polyfit(x, y, 2, w=1 / errors, cov="unscaled")
+    misfit = np.sum(((y - np.polyval(values, x)) / errors) ** 2) / 9
+    np.testing.assert_allclose(found.values, values[::-1], rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, covariance[::-1, ::-1], rtol=1e-9)
+    np.testing.assert_allclose(found.misfit, misfit, rtol=1e-9)
+    wider = np.sqrt(np.diagonal(covariance)[::-1] * max(misfit, 1))
+    np.testing.assert_allclose(found.errors, wider, rtol=1e-9)

@@ -30,7 +30,7 @@ from ...rig import Rig, load_rig
 from ..calibration import NoiseCalibration, finest_read_noise
 from ..levels import Levels, PhotonTransfer
 from ..read import reduce_darks, reduce_rig
-from ..regressions import inflation, sampling_errors
+from ..regressions import inflation, least_squares, sampling_errors
 from ..sensor import mode_without
 from ..settings import Setting, split_by_setting
 from ..shared import shared_noise
@@ -124,9 +124,8 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
 
 def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit a weighted line; return (slope, intercept) and their covariance, widened by a misfit."""
-    found, covariance = np.polyfit(x, y, 1, w=variances**-0.5, cov="unscaled")
-    chi_square = float(np.sum((y - np.polyval(found, x)) ** 2 / variances))
-    return found, covariance * inflation(chi_square, len(x) - 2)
+    found, degrees = least_squares((x, 1.0), y, errors=np.sqrt(variances)), len(x) - 2
+    return found.values, found.covariance * inflation(found.misfit * degrees, degrees)
 
 
 @double_precision
