@@ -16,13 +16,12 @@ from fitting.checks.simulations import simulated
 from fitting.noise import Camera, Stacks, release_4_sheet, stacks_from_frames
 from fitting.noise.emva1288 import statistics
 from fitting.noise.levels import Levels, PhotonTransfer
-from fitting.noise.release_4.defects import histogram, outliers
+from fitting.noise.release_4.average_frames import histogram, outliers, spectrogram
 from fitting.noise.release_4.general import slopes
-from fitting.noise.release_4.linear import figures
-from fitting.noise.release_4.lines import spectrogram
 from fitting.noise.release_4.nonuniformity import high_pass, loss_of_filter, split
 from fitting.noise.release_4.saturation import Numbers, ranges
 from fitting.noise.release_4.section import LINEARITY, _deviation, sections
+from fitting.noise.release_4.sheet import figures
 from jaxvision.files.images import write_image
 
 SHAPE = (30, 40)

@@ -1,8 +1,15 @@
-"""Histograms of the deviations of pixels from the mean of an average frame (clause 8.8), and counts
-of outliers.
+"""Spectrograms of average frames (clause 8.6), histograms of the deviations of their pixels from
+the mean (clause 8.8), and counts of outliers.
 
-The width of a class is a multiple of 1 / L DN, the step between the values of an average over L
-frames:
+In a spectrogram, each of the M rows, of N pixels, is transformed by a discrete Fourier transform
+divided by sqrt(N). The horizontal spectrogram is the squared magnitude, averaged over the rows. For
+independent pixels of spatial variance s^2 and temporal variance sigma^2 in L frames, the
+expectation of the spectrogram is s^2 + sigma^2 / L at every frequency. In units of its expectation,
+the spectrogram at a frequency is distributed as the mean of M chi-square variables with two degrees
+of freedom, divided by 2.
+
+In a histogram, the width of a class is a multiple of 1 / L DN, the step between the values of an
+average over L frames:
 
     I = floor(L (y_max - y_min) / 256) + 1,    Q = floor(L (y_max - y_min) / I) + 1      (73)
     q = floor(L (y - y_min) / I)                                                        (74)
@@ -18,8 +25,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import betaincinv, erfc
+from scipy.special import betaincinv, chdtri, erfc
 
+BAND = (0.975, 0.025)  # of a spectrogram
 CLASSES = 256
 ROUNDING = 1e-9  # tolerance, in classes, for an average that is a multiple of 1 / L
 
@@ -96,3 +104,25 @@ def outliers(image: Float[np.ndarray, "h w"]) -> tuple[Outliers, ...]:
         high = float(betaincinv(count + 1, away.size - count, 0.975)) if count < away.size else 1.0
         found.append(Outliers(beyond, count, (low, high), float(erfc(beyond / np.sqrt(2)))))
     return tuple(found)
+
+
+class Spectrogram(NamedTuple):
+    """The power spectrum of an image along one direction."""
+
+    cycles: Float[np.ndarray, " frequencies"]  # frequency, cycles per pixel, 0 to 1/2
+    power: Float[np.ndarray, " frequencies"]  # power at each frequency, DN^2
+    # median power, DN^2, as an estimate of the power of noise that is independent between pixels
+    white: float
+    # (low, high) limits of the power of independent noise, 95 % at each frequency
+    band: tuple[float, float]
+
+
+def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
+    """Compute the power spectrum along `axis` of an image, averaged over the other axis."""
+    length = image.shape[axis]
+    transform = np.fft.rfft(image - image.mean(), axis=axis) / np.sqrt(length)
+    power = np.mean(np.abs(transform) ** 2, axis=1 - axis)
+    degrees = 2 * image.shape[1 - axis]
+    white = float(np.median(power[1:]))
+    low, high = (white * float(chdtri(degrees, q)) / degrees for q in BAND)
+    return Spectrogram(np.arange(len(power)) / length, power, white, (low, high))

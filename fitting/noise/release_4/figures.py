@@ -9,8 +9,7 @@ import numpy as np
 from ...report.figures import BLUE, GREEN, GREY, ORANGE, RED, empty_panels
 from ...report.section import Picture
 from ..levels import signal_of
-from .defects import histogram
-from .lines import spectrogram
+from .average_frames import histogram, spectrogram
 from .nonuniformity import Split, can_filter, high_pass
 from .sheet import PARTS, Release4
 from .stacks import Averages

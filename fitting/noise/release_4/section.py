@@ -16,7 +16,7 @@ from ..levels import signal_of
 from ..quantities import HEADINGS, QUANTITIES, Quantity
 from ..regressions import sampling_errors
 from ..section import replace_doubted, standard_estimate, why_missing
-from .defects import outliers
+from .average_frames import outliers
 from .figures import defect_images, pictures_of_images, signal_to_noise
 from .nonuniformity import BORDER, FEWEST_LINES, Split, loss_of_filter
 from .sheet import FILTERED, PARTS, PLAIN, Nonuniformity, Release4
