@@ -22,7 +22,7 @@ from ..inference.parameters import Parameter
 from ..inference.precision import double_precision
 from ..inference.problem import Problem
 from .model import Blur, aperture_widths, problem_of_edge
-from .pixels import EdgePixels, distance_from_edge, first_line, refuse_clipped, select_band
+from .pixels import EdgePixels, distance_from_edge, first_line, select_band
 
 _OF_EDGE = "angle", "place", "low", "high", "curvature", "shade_x", "shade_y"
 _FINE = 8  # samples of an edge spread per pixel
@@ -99,7 +99,6 @@ def wavefront_from_edges(
     edges, starts = [], []
     for image in images:
         picture = select_band(plain_array("wavefront_from_edges: image", image), sensor, band)
-        refuse_clipped(picture, sensor)
         pixels = EdgePixels(picture, *first_line(picture))
         problem, start = problem_of_edge(pixels, sensor, Blur("gaussian", None))
         found = fit(problem, start=start, misfit="inflate")

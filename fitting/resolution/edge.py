@@ -44,7 +44,6 @@ from .pixels import (
     EdgePixels,
     distance_from_edge,
     first_line,
-    refuse_clipped,
     select_band,
 )
 
@@ -231,9 +230,10 @@ def from_edge(
     Args:
         image: (h, w) linear numbers of a region with one edge, or (h, w, bands) of a developed
             picture; NaN where a pixel does not count.
-        sensor: its mosaic gives the sites of a band in raw numbers (h, w), where the region must
-            begin at the corner of a tile; its bits and black level give the range. None for a
-            monochrome camera.
+        sensor: its mosaic gives the sites of a band in raw numbers (h, w) or (h, w, 1), and its
+            `taps` bring unequal amplifiers to one black level and gain, where the region must
+            begin at the corner of a tile, and lie in one part if each part of the frame has an
+            amplifier; its bits and black level give the range. None for a monochrome camera.
         band: number of the band, for a mosaic or a developed picture.
         shape: shape of the fitted blur: a "gaussian" (`blur` is its standard deviation), or the
             "disc" of an image out of focus (`blur` is its diameter).
@@ -269,13 +269,12 @@ def from_edge(
         raise InputError(f"from_edge: reach is {reach!r} pixels; give at least {LEAST_PIXELS}.")
     if shape not in ("gaussian", "disc"):
         raise InputError(f'from_edge: shape is {shape!r}; give "gaussian" or "disc".')
-    refuse_clipped(picture, sensor)
     pixels = EdgePixels(picture, *first_line(picture))
     blur = Blur(shape, diffraction)
     problem, start = problem_of_edge(pixels, sensor, blur)
     found = fit(problem, start=start, misfit="inflate")
     result = _measure(found, pixels, blur, reach)
-    raw = sensor is not None and np.ndim(image) == 2
+    raw = sensor is not None and np.shape(image)[2:] in ((), (1,))
     bent = _nonlinear(result, pixels, float(problem.inputs["black"]), raw)
     return replace(result, findings=(*result.findings, *bent))
 

@@ -3,12 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
 import jaxvision as jv
 from jaxvision.errors import InputError
+
+from ..rig import COLOURS
 
 LEAST_PIXELS = 8  # on both sides of the edge
 BLOCK = 8  # side of the blocks of shared errors where neighbouring residuals correlate
@@ -93,8 +96,8 @@ def _refuse_mosaic(
     if apart > _MOSAIC * size and apart > 2 * SIGNIFICANT * noise.max():
         raise InputError(
             f"from_edge: on one side of the edge the sites of a 2 x 2 mosaic differ by "
-            f"{apart / size:.0%}; give one band of raw colour numbers by sensor= and band=, or a "
-            "developed picture."
+            f"{apart / size:.0%}; give one band of raw colour numbers by sensor= and band=, the "
+            "taps of unequal amplifiers by sensor=, or a developed picture."
         )
 
 
@@ -113,28 +116,44 @@ def _are_correlated(noise: Float[np.ndarray, "h w"]) -> bool:
 
 
 def select_band(image: Any, sensor: jv.Sensor | None, band: int | None) -> Float[np.ndarray, "h w"]:
-    """Return the numbers of one band, NaN at pixels that do not measure it."""
+    """Return the numbers of one band, as of equal taps, NaN at pixels that do not measure it."""
     picture = np.array(image, float)
+    if sensor is not None and picture.ndim == 3 and picture.shape[2] == 1:
+        picture = picture[..., 0]
     if picture.ndim not in (2, 3) or min(picture.shape[:2]) < LEAST_PIXELS:
         raise InputError(
             f"from_edge: image has the shape {picture.shape}; give (h, w) or (h, w, bands), of at "
             f"least {LEAST_PIXELS} x {LEAST_PIXELS} pixels."
         )
     tile = np.zeros((1, 1), int)
+    taps = None if sensor is None or picture.ndim == 3 else sensor.taps
     if picture.ndim == 2 and sensor is not None and sensor.colour_filter is not None:
         tile = np.asarray(sensor.colour_filter.pattern)
+    elif taps is not None and taps.names and taps.names[0].split()[0] in COLOURS:
+        colours = np.array([COLOURS.index(name.split()[0]) for name in taps.names])
+        tile = colours[np.asarray(taps.pattern)]
+        tile = tile[: taps.cell[0], : taps.cell[1]] if taps.stretched else tile
     bands = picture.shape[2] if picture.ndim == 3 else int(tile.max()) + 1
     band = 0 if band is None and bands == 1 else band
     if band not in range(bands):
         raise InputError(f"from_edge: band is {band!r}; give 0 to {bands - 1}.")
     if picture.ndim == 3:
-        return picture[..., band]
-    row, column = np.indices(picture.shape)
-    at = tile[row % tile.shape[0], column % tile.shape[1]]
-    return np.where(at == band, picture, np.nan)
+        picture = picture[..., band]
+    else:
+        row, column = np.indices(picture.shape)
+        at = tile[row % tile.shape[0], column % tile.shape[1]]
+        picture = np.where(at == band, picture, np.nan)
+    _refuse_clipped(picture, sensor)
+    if taps is None or taps.stretched:
+        return picture
+    level = 0.0 if sensor is None or sensor.offset is None else float(np.mean(sensor.offset))
+    plain, field = jv.Sensor(offset=level, taps=taps), jnp.zeros((*picture.shape, 1))
+    black, lit = (np.asarray(jv.expected_signal(plain, field + x))[..., 0] for x in (0.0, 1.0))
+    responses, own = lit - black, np.isfinite(picture)
+    return (picture - black) * responses[own].mean() / responses + level
 
 
-def refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None) -> None:
+def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None) -> None:
     """Refuse a picture many of whose numbers lie at an end of their range."""
     known = picture[np.isfinite(picture)]
     if known.size == 0:

@@ -14,6 +14,7 @@ from fitting import resolution
 from fitting.resolution import Blur
 from fitting.resolution.edge import _free_transfer
 from fitting.resolution.model import edge_spread, edge_transfer
+from fitting.resolution.pixels import select_band
 from jaxvision.errors import InputError
 
 NODES = (np.arange(16) + 0.5) / 16 - 0.5
@@ -141,6 +142,21 @@ def test_intervals_cover_the_true_values():
     assert np.mean(np.abs(z) < 1.96) > 0.84
     assert abs(np.mean(z)) < 4 / np.sqrt(40)
     assert np.mean(np.array(free) < 0.05) < 0.16
+
+
+def test_unequal_amplifiers_are_brought_to_one_scale():
+    """Even and odd columns, and the sites of a mosaic that the taps name, by NumPy."""
+    light = np.random.default_rng(3).uniform(100, 900, (24, 24))
+    column = np.indices(light.shape)[1]
+    taps = jv.Taps(((0, 1),), gain=[0.9, 1.1], offset=[-2.0, 3.0])
+    raw = 64 + np.array([-2.0, 3.0])[column % 2] + np.array([0.9, 1.1])[column % 2] * light
+    for image in (raw, raw[..., None]):
+        found = select_band(image, jv.Sensor(offset=64.0, taps=taps), None)
+        np.testing.assert_allclose(found, 64 + light, rtol=1e-6)
+    taps = jv.Taps(((0, 1),), gain=[0.9, 1.1], offset=[-2.0, 3.0], names=("red", "blue"))
+    found = select_band(raw, jv.Sensor(offset=64.0, taps=taps), 2)
+    assert np.isnan(found[:, ::2]).all()
+    np.testing.assert_allclose(found[:, 1::2], 64 + 1.1 * light[:, 1::2], rtol=1e-6)
 
 
 @pytest.mark.slow
