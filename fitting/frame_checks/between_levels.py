@@ -163,9 +163,7 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
 
 
 def _unsaturated_levels(levels: ComparedLevels) -> list[int]:
-    """Return the indices of the unsaturated levels with light, ordered by light. If saturated
-    levels follow, the brightest unsaturated level is omitted, because some of its pixels may be
-    saturated."""
+    """Return unsaturated lit levels by light, without the last before saturation."""
     there = _lit_levels(levels)
     if len(there) < FEWEST_LEVELS:
         return there
@@ -179,9 +177,7 @@ def _unsaturated_levels(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Return basis functions of light for a fit to the signal per light: a constant, a linear term
-    (a curved response), an inverse term (a light leak, a late shutter or a wrong black level) and,
-    with enough levels, a quadratic term."""
+    """Return terms of the signal per light: constant, curve and offset by light."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)

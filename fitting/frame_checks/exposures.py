@@ -120,9 +120,7 @@ def _other_scene_images(
 def _find_disordered(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return the images that are darker than a shorter exposure or brighter than a longer exposure,
-    with the reason. If an exchange of two exposure times removes all contradictions, return only
-    these two images."""
+    """Return images in the wrong order of brightness, or the two that were exchanged."""
     darker = _darker(frames, left, full_scale)
     wrong = _contradictions(darker, times)
     if not wrong:

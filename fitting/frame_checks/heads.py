@@ -122,9 +122,7 @@ def _minority(
 def _compare_exposures(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return the frames whose exposure in the metadata differs from the rig, and a remark if the
-    exposures of most frames differ by a common factor. No frames are returned unless most exposures
-    agree with the rig up to that factor."""
+    """Return frames of exposures unlike the rig's, up to a common factor, and remarks."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

@@ -66,10 +66,7 @@ def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarra
 
 
 def _group_frames(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
-    """Divide frames into groups that differ by noise alone, the largest group first. Also return
-    the variance of differences between groups over the variance of differences within groups. Two
-    frames count as two groups, with the ratio NaN. Return None if there is only one group, or if
-    the division into groups is unclear."""
+    """Group frames that differ by noise alone; return groups, variance across over within."""
     if len(samples) == 2:
         return [[0], [1]], np.nan
     variances = {

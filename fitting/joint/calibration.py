@@ -171,8 +171,7 @@ def _recognise_pixel_means(observation: Photographs, fit: JointFit) -> Photograp
 
 
 def fit_of_surface(fit: JointFit) -> AtOptimum | None:
-    """Return the surface of a fit with the samples of its channel, with the lights as fitted; None
-    if it has not converged."""
+    """Return the surface of a converged fit with its samples and lights as fitted; else None."""
     seen, known = fit.grid.observation, names(fit.space)
     vector = fit.vector[[known.index(name) for name in names(parameter_space(fit.form))]]
     if not np.isfinite(vector).all():

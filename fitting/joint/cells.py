@@ -67,9 +67,7 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """Return the width of the finest cells in rad, which resolve the lobe of a given `shape` (None
-    for Lambert).
-    """
+    """Return the width of the finest cells, rad, which resolve the lobe of this `shape`."""
     if shape is None or not has_lobe(form.model):
         return WIDEST
     angle = np.linspace(0, 1.2, 1201)
@@ -125,9 +123,7 @@ def make_grid(
 
 
 def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
-    """Return the cell of each pixel for each width of cells, from the widest down to `width`. Each
-    cell contains four cells of the next smaller width.
-    """
+    """Return each pixel's cell for each width from the widest to `width`; one holds four."""
     x, y, z = normals.T
     plane = np.sqrt(2 / (1 + z))  # Lambert's: equal areas for equal solid angles
     row, column = (np.floor(c * plane / width).astype(np.int64) for c in (x, y))
@@ -150,9 +146,7 @@ def _uneven_pixels(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) ->
 
 
 def _divide(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
-    """Return the cells of the pixels in one image: for each pixel the widest cell that needs no
-    division.
-    """
+    """Return for each pixel of an image the widest cell that needs no division."""
     level = np.cumprod(split, axis=0).sum(axis=0)
     own = np.choose(level, levels)
     _, cell = np.unique(own * len(levels) + level, return_inverse=True)
@@ -241,9 +235,7 @@ def pixels_at(
 
 
 def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometry, np.ndarray]:
-    """Return the geometry (points, 1, pixels) at points within each pixel of one image, and the
-    weights with which the points are averaged.
-    """
+    """Return the geometry at points within each pixel of an image, and their weights."""
     parts = [image_geometry(one, channel, light) for one in observation.points]
     weights = np.ones(1) if observation.within is None else WEIGHTS
     return jax.tree.map(lambda *own: jnp.stack(own), *parts), weights
@@ -251,9 +243,7 @@ def _points(observation: Photographs, channel: int, light: int) -> tuple[Geometr
 
 @eqx.filter_jit
 def _slopes(surface: tuple[str, ...], values: Values, *of: Any) -> Values:
-    """Return the derivatives of the expected digital number of a pixel with respect to the natural
-    values of the surface.
-    """
+    """Return the derivatives of a pixel's expected number by the natural surface values."""
 
     def mean_of(own: Values) -> Array:
         return _pixel_moments(values | own, *of)[4]
@@ -277,9 +267,7 @@ def _pixel_moments(
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return the mean of values for each cell in one image. A cell without pixels gets the mean of
-    the first cell.
-    """
+    """Return the mean of values for each cell in one image; that of the first if empty."""
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(cell, column, len(count)) for column in columns], axis=1)
     means = sums / np.maximum(count, 1)[:, None]

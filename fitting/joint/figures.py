@@ -20,9 +20,7 @@ LARGEST = 4.0  # largest difference on the colour scale, standard deviations
 
 
 def images_figure(calibration: JointCalibration) -> "Figure":
-    """Draw three rows of images: measured, predicted, and their difference in standard deviations.
-    Columns are lights.
-    """
+    """Draw measured, predicted, and their difference in deviations; columns are lights."""
     observation = calibration.observation
     fit = calibration.fits[len(calibration.fits) // 2]
     channel = observation.channels.index(fit.channel)

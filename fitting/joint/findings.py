@@ -56,9 +56,7 @@ def _brightest_fit(calibration: JointCalibration) -> tuple[AtOptimum, ...]:
 
 
 def darker_than_darks(observation: Photographs) -> list[Numbers]:
-    """Report pixels that no light reaches and that are darker than the dark frames, which is
-    impossible because light only adds.
-    """
+    """Report unlit pixels that are darker than the darks, which is impossible."""
     found: list[Numbers] = []
     unlit = observation.cosine < UNLIT
     for i, levels in enumerate(observation.levels or ()):
@@ -76,9 +74,7 @@ def darker_than_darks(observation: Photographs) -> list[Numbers]:
 
 
 def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
-    """Report, for linear files, if the gain estimated from the object's pixels differs from the
-    gain from flats and darks, or from the gain that the rig states (DN/e-).
-    """
+    """Report, for linear files, a gain of the object's pixels unlike that of flats or rig."""
     cells, levels = fit.data.cells, fit.data.levels
     freedom = np.asarray(cells.count, float) - 1
     some = freedom > 0
@@ -101,9 +97,7 @@ def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
 
 
 def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
-    """Fit variances as a linear function of means by iteratively reweighted least squares, and
-    return the slope with its standard error.
-    """
+    """Fit variances linearly over means, reweighted; return the slope and its error."""
     if len(mean) < 3 or np.ptp(mean) == 0:
         return np.nan, np.inf
     expected, line, covariance = np.full(len(mean), variance.mean()), np.zeros(2), np.eye(2)
@@ -158,9 +152,7 @@ def hiding_pixels(of: OfChannel) -> tuple[UnequalPixels, bool] | None:
 
 
 def _shadows(of: OfChannel) -> Numbers | None:
-    """Report light in attached shadows, which the fit includes in the uncertainty of the black
-    level.
-    """
+    """Report light in attached shadows, which the error of the black level includes."""
     observation, fit = of[0].observation, of[1]
     channel = observation.channels.index(fit.channel)
     black, sd = given_black_level(observation, channel)
@@ -171,9 +163,7 @@ def _shadows(of: OfChannel) -> Numbers | None:
 
 
 def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
-    """Report significant unequal pixel gains (`found`), or insignificant ones that could bias
-    system gain and read noise.
-    """
+    """Report significant unequal gains (`found`), or hidden ones that could bias the noise."""
     judged = hiding_pixels(of)
     if judged is None or not judged[1] or judged[0].are_significant != found:
         return None
@@ -198,8 +188,7 @@ def _gain_of_scatter(of: OfChannel) -> Numbers | None:
 
 
 def _disagree(of: OfChannel) -> Numbers | None:
-    """Report that images disagree: the gradients of their log likelihoods are larger than
-    independent cells explain."""
+    """Report images whose likelihoods have larger gradients than independent cells explain."""
     calibration, fit = of
     robust = calibration.robust.get(fit.channel)
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
@@ -384,9 +373,7 @@ OF_CHANNEL = (
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:
-    """Tabulate the errors of the predicted images, and the share of pixels within the predicted
-    bands.
-    """
+    """Tabulate errors of predicted images and shares of pixels within the bands."""
     return Table(
         title="Predicted images",
         columns=(

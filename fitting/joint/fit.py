@@ -145,9 +145,7 @@ def fit_channel(
 
 
 def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> bool:
-    """Return whether the shape of the lobe is within the searched range; an optimum outside it is
-    rejected.
-    """
+    """Return whether the lobe's shape is within the searched range."""
     model = data.form.model
     if model == "lambert":
         return True
@@ -158,9 +156,7 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
 
 
 def _prepare(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
-    """Return the cells of one channel about a first model, and the unconstrained values of that
-    model.
-    """
+    """Return the cells of a channel about a first model, and that model's vector."""
     form, start = first_reflectance(observation, channel, form)
     space, known = parameters(observation, channel, form, start)
     start = start | first_noise(observation, channel, start.get("gamma"))
@@ -197,9 +193,7 @@ def _prepare(observation: Photographs, channel: int, form: Form) -> tuple[Grid, 
 def first_reflectance(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
-    """Return the reflectance model to fit (Lambert's if no highlight is significant), and
-    least-squares values of reflectance and gamma in natural units.
-    """
+    """Return the model to fit, Lambert's without a highlight, and least-squares values."""
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
@@ -227,9 +221,7 @@ def first_noise(observation: Photographs, channel: int, gamma: float | None) -> 
 
 
 def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
-    """Estimate the gain K from the differences of neighbouring pixels in a row, which receive
-    nearly equal light.
-    """
+    """Estimate K from differences of neighbours in a row, whose light is nearly equal."""
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
     linear = decoded(dn, observation.black, observation.white, gamma)
     beside = (np.diff(observation.columns) == 1) & (np.diff(observation.rows) == 0)

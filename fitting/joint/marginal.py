@@ -72,9 +72,7 @@ def _parts(of: Residuals) -> tuple[Array, Array]:
 
 
 def image_error_means(of: Residuals) -> tuple[OfImages, OfImages]:
-    """Return the posterior means and standard deviations of the image errors u given r, in units of
-    their prior standard deviations.
-    """
+    """Return posterior means and deviations of image errors given r, in prior deviations."""
     assert of.image_errors is not None
     factor, pull = _image_error_system(of, of.image_errors)
     shape = of.image_errors.shape[:2]

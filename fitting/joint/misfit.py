@@ -135,9 +135,7 @@ def image_sandwich(observation: Photographs, fit: JointFit) -> Robustness | None
 def _disagreement(
     total: Matrix, scores: np.ndarray, information: np.ndarray
 ) -> tuple[float, float]:
-    """Return the mean square of the images' scores divided by that for independent cells, and the
-    limit that this ratio exceeds by chance with probability `CHANCE`.
-    """
+    """Return the images' mean squared score over its expectation, and the limit of chance."""
     root = np.linalg.inv(np.linalg.cholesky(total))
     shares = root @ information @ root.T
     expected = float(np.trace(shares.sum(axis=0)))
@@ -149,9 +147,7 @@ def _disagreement(
 def _sandwich(
     scores: np.ndarray, information: np.ndarray, total: Matrix, prior: Matrix, alike: np.ndarray
 ) -> Robustness:
-    """Return the sandwich covariance over groups of images. `alike` is the index of the group of
-    each image.
-    """
+    """Return the sandwich covariance over groups of images; `alike` is each image's group."""
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
     halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns are the slopes of an image
@@ -163,9 +159,7 @@ def _sandwich(
 
 
 def _enlarge_covariance(covariance: Matrix, information: Matrix) -> Matrix:
-    """Return the covariance, enlarged along those directions where it is smaller than the inverse
-    of the information.
-    """
+    """Return the covariance, nowhere smaller than the information's inverse."""
     root = np.linalg.cholesky(information)
     ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
@@ -335,9 +329,7 @@ class UnequalPixels:
 
     @property
     def are_significant(self) -> bool:
-        """Return whether unequal pixels are significant, so that the fitted gain and read noise
-        include them.
-        """
+        """Return whether unequal pixels are significant and so part of the fitted noise."""
         return self.deviations > BEYOND_CHANCE
 
     def hide_noise(self, stated: bool) -> bool:
@@ -348,9 +340,7 @@ class UnequalPixels:
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
-    """Estimate the relative rms of unequal pixel gains by a score test, for a fit that assumes
-    equal gains.
-    """
+    """Estimate the relative rms of pixel gains by a score test of equal ones."""
     cells = fit.data.cells
     count = np.asarray(cells.count, np.float64)
     freedom = count - 1
@@ -378,9 +368,7 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
 
 @eqx.filter_jit
 def _pixel_variance(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
-    """Return the variance of a pixel, its response R to a relative change of the light, and the
-    derivatives (parameters, images, cells) of the variance.
-    """
+    """Return a pixel's variance, its response R to light, and the variance's derivatives."""
 
     def variance(v: Array) -> Array:
         return predicted(values_at(v, data), data, data.cells).variance

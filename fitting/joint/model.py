@@ -142,9 +142,7 @@ def black_level(observation: Photographs, channel: int) -> tuple[float, float | 
 
 
 def given_black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
-    """Return the black level and its standard deviation as the rig and the darks give them, without
-    the light in attached shadows.
-    """
+    """Return black and its deviation by rig and darks, without light in shadows."""
     black, sd = observation.black, observation.camera.black_sd
     stated = observation.camera.black_level is not None
     levels = None if observation.levels is None else observation.levels[channel]
@@ -202,8 +200,7 @@ def error_columns(data: JointData) -> dict[str, slice]:
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
-    """Return natural values by name at an unconstrained vector, including the values of known
-    numbers."""
+    """Return natural values by name at an unconstrained vector, with the known numbers."""
     natural = to_natural(data.space, vector)
     return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
 
@@ -227,9 +224,7 @@ class Prediction(eqx.Module):
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
-    """Predict cells, or single pixels, from natural values. A cell without data is predicted at
-    white, so that the result is finite.
-    """
+    """Predict cells, or single pixels, from natural values; at white without data."""
     geometry, form = cells.geometry, data.form
     seen = cells.count > 0
 
@@ -269,9 +264,7 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
 
 
 def weights(cells: Cells, model: Prediction) -> Table:
-    """Return the inverse variance of each cell's mean without shared errors, (images, cells) DN^-2;
-    0 for a cell without data.
-    """
+    """Return inverse variances of cells without shared errors, DN^-2; 0 without data."""
     seen = cells.count > 0
     variance = model.variance / jnp.where(seen, cells.count, 1)
     if model.misfit is not None:
@@ -306,9 +299,7 @@ def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, margina
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """Return ln p(images, flats and darks | unconstrained vector), up to a constant, with the
-    shared errors marginalised.
-    """
+    """Return ln p(images, flats and darks | vector), with shared errors marginalised."""
     values = values_at(vector, data)
     total = _log_likelihood(predicted(values, data, data.cells), data)
     return total if data.levels is None else total + _uniform_frames_log_density(values, data)
@@ -317,9 +308,7 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
-    """Return the log likelihood of the images alone, with separate parameters for each image, the
-    rows of `vectors` (images, P).
-    """
+    """Return the images' log likelihood, with parameters `vectors` for each image."""
     about = data.cells.geometry.about
     cells = replace(data.cells, geometry=replace(data.cells.geometry, about=None), products=None)
 
@@ -346,9 +335,7 @@ def _log_likelihood(model: Prediction, data: JointData) -> Array:
 
 
 def _uniform_frames_log_density(values: Values, data: JointData) -> Array:
-    """Return ln p of the temporal variances of flats and darks, which follow Gamma distributions
-    about the model's variance at their mean.
-    """
+    """Return ln p of the variances of flats and darks by their Gamma distributions."""
     assert data.levels is not None
     levels = data.levels
     above = levels.mean - values["black_level"]

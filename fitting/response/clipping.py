@@ -83,9 +83,7 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarr
 def _darker_p_value(
     codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray
 ) -> float:
-    """Test whether, in the longer exposure, pixels around hidden peaks are darker than other pixels
-    with the same code in the shorter exposure. Return the p-value, from the scatter over tiles; 1
-    if no pixels can be compared."""
+    """Test if pixels around hidden peaks are darker in the longer exposure; return p."""
     rows, columns = np.indices(codes.shape[1:])
     tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
     width = max(1, round(clip / INTERVALS))

@@ -57,9 +57,7 @@ def code_bins(
     origin: int = 0,
     black_sd: float = 0.0,
 ) -> CodeBins:
-    """Make bins of codes. If there are at most `count` codes, each code has a bin. Otherwise the
-    bins have equal width in sqrt(DN - black), so that their width in DN is proportional to shot
-    noise."""
+    """Make bins: one for each code, or of equal width in sqrt(DN - black) above `count`."""
     first = int(np.floor((black - origin) / step)) + 1
     last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1
     if last - first + 1 <= count:

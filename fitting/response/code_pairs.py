@@ -73,9 +73,7 @@ def statistics_of_parts(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> list[PairStatistics]:
-    """Compute A and b for each of several sets of pixels. The scale of the noise and the density of
-    codes are estimated from all sets together, so that the A and b of the sets sum to those of all
-    pixels."""
+    """Compute A and b of several sets of pixels, which sum to those of all pixels."""
     every = []
     for part in parts:
         sums = _Sums(len(rule.by_bin), len(means), len(log_t))

@@ -167,15 +167,12 @@ class ResponseCurve:
 
 
 def slope_error(noise: NoiseModel) -> float:
-    """Return the relative error of a curve's slope, and of gamma, that comes from variance in
-    proportion to the squared light (`noise.relative`). The cause of this variance is unknown, so
-    the correction of the slope for it is uncertain."""
+    """Return the relative error of a curve's slope by variance of unknown cause."""
     return SLOPE_ERROR * noise.relative
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Return the standard deviation, in ln X, of a ripple in the curve g whose period is the step
-    of ln t between exposures. No image reveals such a ripple."""
+    """Return the deviation, in ln X, of a ripple between exposures that no image reveals."""
     # From the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2 1/4 stops, .038
     # at three; smaller for a smoother curve, in proportion to the prior's 1 / sqrt(smoothness).
     steps = np.diff(np.unique(np.log(exposures)))

@@ -130,9 +130,7 @@ def offsets_figure(calibration: ResponseCalibration) -> "Figure":
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> "Figure":
-    """Draw the radiance map of each group next to the radiance from its middle exposure alone,
-    through the same tone curve. Each pair is drawn twice: at the map's white, and brightened to
-    show the shadows."""
+    """Draw each map beside its middle exposure alone, at white and brightened."""
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
     figure, axes = empty_panels(

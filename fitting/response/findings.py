@@ -110,9 +110,7 @@ def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | No
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding that each image may have been scaled to its own black point. The sign is
-    that all images have the same lowest code, although few pixels have this code at the longest
-    exposure."""
+    """Return a finding on images each scaled to its own black: equal, rare lowest codes."""
     for channel in channels:
         plane = channel.plane
         lowest = np.array([int(image.min()) for image in plane.codes])

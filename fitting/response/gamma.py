@@ -306,9 +306,7 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
 def _omitted_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Return the variance of gamma from three sources that the weighted fit omits: the black level,
-    the correction for errors that are not noise, and the change of gamma under another weighting in
-    excess of the standard error of that change (Hausman, Econometrica 46, 1978)."""
+    """Return gamma's variance by black, slope, and reweighting beyond its error."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)

@@ -34,9 +34,7 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> tuple[list[OddFrames], dict[str, tuple[int, int]]]:
-    """Return the exposures that are displaced by at least two pixels relative to most others. Also
-    return, by image name, the displacements in rows and columns of images that are displaced by
-    less than two pixels."""
+    """Return exposures displaced by two pixels or more, and smaller shifts by name."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return [], {}  # sizes differ; refused where frames are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only

@@ -59,8 +59,7 @@ def fit_pilot(
     *,
     least_error: float = STEADIEST,
 ) -> Pilot:
-    """Fit the pilot curve in four passes. The first pass uses the weights of Debevec & Malik,
-    because a noise model can only be fitted once there is a curve."""
+    """Fit the pilot curve in four passes, the first with weights of Debevec & Malik."""
     x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
     count = int(classes.max()) + 1

@@ -386,8 +386,7 @@ def _planes(
 def floor_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Estimate the black level from dark pixels whose code changes by at most one step while the
-    exposure grows at least eightfold; 0 if there are too few."""
+    """Estimate black from dark pixels that stay as the exposure grows eightfold; else 0."""
     longer = np.flatnonzero(exposures >= LEAST_EXPOSURE_RATIO * exposures[0])
     if not len(longer):
         return 0.0
@@ -433,9 +432,7 @@ def _find_overlays(
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Estimate the clip level as a low quantile of the codes of pixels that clip. Pixels count as
-    clipping if their code is above half scale and changes by at most one step while the exposure
-    grows by a factor of at least 1.9."""
+    """Estimate the clip level from bright pixels that stay as the exposure grows."""
     shorter = np.flatnonzero(exposures * LEAST_RATIO <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)

@@ -102,9 +102,7 @@ class Solution:
 
 
 def exponent_increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
-    """Return the matrix D of the prior energy smoothness |D g|^2 / 2. D g are the increments of the
-    local exponent dg / d ln(z - black), divided by the square roots of the steps of the variable of
-    `CodeBins.pace`."""
+    """Return the matrix D of scaled increments of the exponent dg / d ln(z - black)."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     rows = np.arange(len(z) - 2)
@@ -129,9 +127,7 @@ def solve(
     least_error: float = STEADIEST,
     rounds: int = 1,
 ) -> Solution:
-    """Solve for the curve and the shutter errors, and update the hyperparameters by MacKay's fixed
-    point. Each updated precision is the number of well-determined parameters over the sum of their
-    squares."""
+    """Solve for curve and shutter errors; update the hyperparameters once a round."""
     basis = shutter_basis(log_t)
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)

@@ -80,8 +80,7 @@ class Observations:
 
 
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
-    """Make weights that depend on the observed code: the squared hat function of Debevec & Malik,
-    which is highest at mid-scale and falls to both ends of the scale."""
+    """Make weights by the observed code: the squared hat function of Debevec & Malik."""
     height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
     hat = height / height.max()
     by_bin = np.where(hat > HAT_BRIM, (hat / HAT_DEVIATION) ** 2, 0)
@@ -207,8 +206,7 @@ def predicted_weights(
     log_t: Float[np.ndarray, " exposures"],
     classes: Int[np.ndarray, " pixels"],
 ) -> tuple[Float[np.ndarray, "exposures pixels"], Int[np.ndarray, "exposures pixels"]]:
-    """Return weights at predicted exposures, and the cells of the rule's table from which they
-    come. A pixel's exposures are predicted from the weighted mean of its log irradiance."""
+    """Return weights at the exposures that a pixel's mean predicts, and their cells."""
     assert table is not None
     cells = cells_of(rule, weighted_mean(weights, by_each) + log_t[:, None], classes)
     return np.where(weights > 0, table.ravel()[cells], 0), cells

@@ -161,9 +161,7 @@ def _natural(fit: LobeFit, space: ParameterSpace) -> Float[np.ndarray, " paramet
 def _jackknife(
     replicates: Float[np.ndarray, "incidences parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return the jackknife covariance of estimates that each omit one incidence, widened for the
-    small number of incidences.
-    """
+    """Return the jackknife covariance over incidences, widened for their small number."""
     count = len(replicates)
     deviations = replicates - replicates.mean(axis=0)
     freedom = count - 1

@@ -103,9 +103,7 @@ class Ratio:
 
     @property
     def more_often(self) -> int:
-        """Return the number of incidences at which the model with the larger total error also has
-        the larger error.
-        """
+        """Return at how many incidences the model of larger total error is also worse."""
         logs = np.log(self.alone) * np.sign(np.log(self.value))
         return int(np.sum(logs > SAME))
 
@@ -126,9 +124,7 @@ class Ratio:
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
-    """Return the ratio of two models' errors on the same samples; 1 for incidences at which one of
-    the models has only rounding errors.
-    """
+    """Return the ratio of two models' errors; 1 where one has only rounding errors."""
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
     ours, theirs = one.parts[:, column], other.parts[:, column]
@@ -175,8 +171,7 @@ def weight_by_incidence(measured: MeasuredBRDF, objective: Objective) -> OfIncid
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
-    """Return f_r in sr^-1 of every sample, predicted by the fit to the samples of all other
-    incidences."""
+    """Return f_r, sr^-1, of every sample by the fit to the other incidences."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i
@@ -185,9 +180,7 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> OfSamples:
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """Return the model with the smallest error in the metric of an objective; of several with equal
-    errors, the first model.
-    """
+    """Return the model, the first of equals, with the smallest error by an objective."""
     return min(scores, key=lambda model: metric(scores[model], objective))
 
 

@@ -30,9 +30,7 @@ LIMIT = 200.0  # per cent: larger errors share a colour
 
 
 def slices_figure(calibration: BRDFCalibration) -> "Figure":
-    """Draw, for some incidences, the reflected light as a function of the viewer's angle from the
-    normal.
-    """
+    """Draw, for some incidences, the reflected light over the viewer's angle."""
     measured = calibration.measured
     shown = np.unique(
         np.linspace(0, len(measured.incidences) - 1, SHOWN_INCIDENCES).round().astype(int)
@@ -122,9 +120,7 @@ def predicted(
 
 
 def errors_figure(calibration: BRDFCalibration) -> "Figure":
-    """Draw bars of both error metrics. Models are in the order of the metric that the fits
-    minimise.
-    """
+    """Draw bars of both error metrics, in the order of the one that the fits minimise."""
     from matplotlib.patches import Rectangle
 
     order: list[Model] = sorted(

@@ -198,8 +198,7 @@ def _weight(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _pairs(calibration: BRDFCalibration) -> Numbers:
-    """Report the effect of the lobe's axis alone, by comparison of pairs of lobes that differ only
-    in their axis."""
+    """Report the effect of the lobe's axis by pairs of lobes that differ in it alone."""
     objective, held_out = calibration.objective, calibration.held_out
     sentences = []
     for mirror, half in PAIRS:
@@ -249,9 +248,7 @@ def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
 
 
 def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
-    """Report searches that did not converge, or that fit worse than Lambert's model, which is a
-    special case of all others.
-    """
+    """Report searches that did not converge, or fit worse than their Lambertian case."""
     measured = calibration.measured
     signal = compared_quantity(measured, calibration.objective, measured.values)
     nothing = NOTHING**2 * float(np.sum(measured.weights[:, None] * signal**2))
@@ -270,9 +267,7 @@ def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
 
 
 def _compare_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
-    """Return the best lobe about the half vector, the best about the mirror direction, and the axis
-    that is significantly better.
-    """
+    """Return the best lobes about half vector and mirror, and the better axis."""
     held_out, objective = calibration.held_out, calibration.objective
     half = best_about_axis(held_out, "half", objective)
     mirror = best_about_axis(held_out, "mirror", objective)
@@ -280,9 +275,7 @@ def _compare_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Sid
 
 
 def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """Report the best lobe about each axis, regardless of other differences, and the materials on
-    which each of the two is better.
-    """
+    """Report the best lobe about each axis, and the materials on which it is better."""
     wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
     confounded = []
     for calibration in calibrations:
@@ -371,8 +364,7 @@ def _useless(pair: Pair) -> tuple[bool, bool]:
 
 
 def _order(pair: Pair) -> Numbers | None:
-    """Report which of two models is better, for a difference whose sign is certain although its
-    size is uncertain."""
+    """Report which model is better, for a certain sign of an uncertain difference."""
     found = pair[2]
     if not found.ordered:
         return None

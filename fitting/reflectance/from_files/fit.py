@@ -129,9 +129,7 @@ def _predict_of(model: Model) -> Any:
     """
 
     def predict(values: Values, inputs: dict[str, Any]) -> Array:
-        """Predict in the objective's metric, with the deviations of the log parameters from the
-        mode multiplied by a matrix.
-        """
+        """Predict in the objective's metric, with deviations of log parameters multiplied."""
         names = list(values)
         vector = jnp.log(jnp.stack([values[name] for name in names]))
         stretched = inputs["mode"] + inputs["stretch"] @ (vector - inputs["mode"])
@@ -208,8 +206,7 @@ class _Search:
     def evaluate(
         self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
     ) -> LobeFit:
-        """Return the fit at some parameters. `kept` is the factor, 0 to 1, on each sample's
-        weight."""
+        """Return the fit at some parameters; `kept` is a factor on each sample's weight."""
         measured = self.measured
         parameters = self.model, diffuse, specular, shape
         predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
@@ -224,9 +221,7 @@ class _Search:
         weights: np.ndarray,
         window: tuple[float, float] = (-np.inf, np.inf),
     ) -> tuple[np.ndarray, np.ndarray, float | None]:
-        """Fit amplitudes and shape by weighted least squares, with the log shape inside a
-        window.
-        """
+        """Fit amplitudes and shape by least squares, with the log shape inside a window."""
         y, w = jnp.asarray(values), jnp.asarray(weights)
         ones = jnp.ones((1, len(values)), y.dtype)
         if self.model == "lambert":

@@ -354,9 +354,7 @@ def _check_signal(
 def _incidences(
     theta_i: Float[np.ndarray, " n"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " incidences"]]:
-    """Return the index of each sample's incidence, and the elevations of the light. Elevations
-    within a degree are combined.
-    """
+    """Return each sample's incidence, and the light's elevations to within a degree."""
     order = np.argsort(theta_i, kind="stable")
     steps = np.diff(theta_i[order], prepend=theta_i[order[0]]) > SAME_INCIDENCE
     incidence = np.empty(len(theta_i), int)

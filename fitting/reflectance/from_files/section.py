@@ -76,9 +76,7 @@ def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
 
 
 def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -> Table:
-    """Tabulate one error metric of the held-out predictions: one row for each model, one column for
-    each material.
-    """
+    """Tabulate a held-out error: a row for each model, a column for each material."""
     factor, digits, unit = (
         (100, 1, "% of the signal's RMS") if which == "cosine" else (1, 4, "sr⁻¹ᐟ³")
     )
@@ -142,8 +140,7 @@ def error_table(calibration: BRDFCalibration) -> Table:
 
 
 def amplitude_table(calibration: BRDFCalibration) -> Table:
-    """Tabulate the amplitudes k_d and k_s of every band, with standard errors. The shape of the
-    lobe is common to all bands."""
+    """Tabulate k_d and k_s of every band with errors; they share the lobe's shape."""
     found = calibration.amplitudes
     unit = format_unit(REFLECTANCES[calibration.model].unit)
     heads = ["k_d [sr⁻¹]"]

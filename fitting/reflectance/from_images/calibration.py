@@ -386,9 +386,7 @@ def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pi
 
 
 def residual_of_images(calibration: ReflectanceCalibration) -> Float[np.ndarray, " lights"]:
-    """Return, for each light, the mean relative residual over the pixels and channels of its
-    image.
-    """
+    """Return the mean relative residual of each light's image, over pixels and channels."""
     return _relative(calibration, axis=1)
 
 

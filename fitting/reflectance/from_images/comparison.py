@@ -98,9 +98,7 @@ def squares_by_light(
 
 
 def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None:
-    """Return the RMS error over the RMS signal from the sums of `squares_by_light`; None without
-    samples.
-    """
+    """Return RMS error over RMS signal by `squares_by_light`; None without samples."""
     if by_light is None or not len(by_light):
         return None
     error, signal = by_light.sum(axis=0)
@@ -225,8 +223,7 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
 
 
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
-    """Name the best model and the difference of its error to those of other models, in one or two
-    sentences."""
+    """Name the best model and its lead over the others, in one or two sentences."""
     channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _scores_by_model(scores)
     costs = _bic(by_model)
     cheapest = _least(costs)
@@ -312,9 +309,7 @@ def _lights(count: int, kind: str = "") -> str:
 
 
 def _more(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
-    """Return, in words, the differences by channel in percentage points with their standard
-    errors.
-    """
+    """Return the differences by channel in words, in percentage points with errors."""
     gaps = _differences(own, best)
     if all(gap.none for gap in gaps):
         return "the same"

@@ -84,8 +84,7 @@ def draw_lights(
 
 
 def lobes_figure(calibration: ReflectanceCalibration) -> "Figure":
-    """Draw the measured diffuse term, after subtraction of the fitted specular term, and the
-    measured specular term, after subtraction of the fitted diffuse term."""
+    """Draw measured diffuse and specular terms, each less the other as fitted."""
     figure, (diffuse, specular) = empty_panels((10, 4.2), columns=2)
     for fit in calibration.chosen_fits:
         _draw_terms(calibration, fit, diffuse, specular)
@@ -166,9 +165,7 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> "Figure":
 
 
 def shown_lights(observation: Photographs) -> list[int]:
-    """Return two of the fitted and two of the held-out lights: one near the view, under which the
-    whole highlight is visible, and an oblique one.
-    """
+    """Return two fitted and two held-out lights, one near the view and one oblique."""
     lit = (observation.cosine > 0).mean(axis=1)
     chosen = []
     for kept in (False, True):
@@ -237,9 +234,7 @@ def _normalise_signal(
 
 
 def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
-    """Return the mirror angle in rad slightly beyond the end of the highlight, or 1 without a
-    highlight.
-    """
+    """Return the mirror angle, rad, beyond the highlight; 1 without a highlight."""
     inside = unit > OFF_HIGHLIGHT
     return float(min(1.3 * angle[inside].max(), np.pi)) if inside.any() else 1.0
 
@@ -254,9 +249,7 @@ def _draw_medians(
     *,
     label: str | None = None,
 ) -> None:
-    """Draw medians in bins: markers with bars over the middle 68 %, or a line if there is no
-    marker.
-    """
+    """Draw medians in bins: marks with bars over the middle 68 %, or a line."""
     place = np.digitize(x, edges) - 1
     rows = [
         (np.median(x[chosen]), *np.quantile(y[chosen], [0.16, 0.5, 0.84]))

@@ -55,9 +55,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
 def said_of_channels(
     table: Iterable[Finding], calibration: Any, fits: Sequence[Any]
 ) -> tuple[str, ...]:
-    """Evaluate the findings of a table for each fit. The conditions of the table take the
-    calibration and the fit.
-    """
+    """Evaluate, for each fit, a table whose conditions take calibration and fit."""
     return tuple(
         sentence if len(fits) == 1 else f"{fit.channel}: {sentence}"
         for fit in fits
@@ -97,9 +95,7 @@ def _lights(fit: ChannelFit) -> int:
 
 
 def _regions(fit: ChannelFit) -> int:
-    """Return the number of groups of lights with correlated errors, which is at most the number of
-    lights.
-    """
+    """Return the number of groups of lights with correlated errors."""
     return len(np.unique(fit.regions[fit.selection.light]))
 
 
@@ -149,9 +145,7 @@ def _region_numbers(of: OfChannel) -> Numbers | None:
 def _report_rotations(
     calibration: ReflectanceCalibration, *, followed: bool, wider: bool = False
 ) -> Numbers | None:
-    """Report the size of the estimated rotations of light directions, in standard deviations, in
-    the channels concerned.
-    """
+    """Report estimated rotations of lights, in standard deviations, by channel."""
     sizes = {
         fit.channel: f"{fit.turned.size:.2g}"
         for fit in calibration.chosen_fits
@@ -308,8 +302,7 @@ def _brightness(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
-    """Return sentences on the assumptions of a fit about files, lights and camera, and how to
-    change them."""
+    """Return sentences on a fit's assumptions, and how to change them."""
     observation = calibration.observation
     granted = []
     if observation.gamma is None and not calibration.chosen_fits[0].form.free_gamma:

@@ -205,8 +205,7 @@ def fit_channel(view: View, form: Form, grouping: Grouping) -> ChannelFit:
 
 
 def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robustness:
-    """Return the covariance of the `known` parameters, with the others fixed, including shared
-    errors of lights and pixels and the errors that the rig states."""
+    """Return the covariance of the `known` parameters with shared and stated errors."""
     gradients, slopes = fit._scores_and_slopes
     slopes = slopes if fit.stated.slopes is None else fit.stated.slopes
     among = fit.stated.marginal_information(fit.information)[np.ix_(known, known)]
@@ -218,9 +217,7 @@ def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robu
 def squared_errors(
     predicted: OfSamples, samples: Samples, selection: Selection
 ) -> Float[np.ndarray, "lights 2"]:
-    """Return two sums over each light's unsaturated samples, (lights, 2): of squared (predicted -
-    measured), and of squared signals above black.
-    """
+    """Return sums of squared (predicted - measured) and of signals, (lights, 2)."""
     measured = np.asarray(samples.dn)
     trusted = measured < samples.clip
     light = selection.light[trusted]
@@ -263,17 +260,14 @@ class Adjusted(eqx.Module):
 
 
 def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
-    """Return the log density with its argument transformed linearly about the mode, up to a
-    constant."""
+    """Return the log density, with its argument stretched about the mode."""
     away = data.stretch @ (vector - data.mode)
     own = data.density(data.mode + away, data.data)
     return own if data.slope is None else own - data.slope @ away
 
 
 def composite(fit: ChannelFit, grouping: Grouping) -> Adjusted:
-    """Return the adjusted likelihood of cells and saturated samples, for a fit whose covariance is
-    known.
-    """
+    """Return the adjusted likelihood of cells and saturated samples."""
     assert fit.robustness is not None
     cells = average(fit.samples, grouping, exact_at=predict(fit.vector, fit.samples))
     data = cells, saturated_only(fit.samples)
@@ -317,9 +311,7 @@ def adjusted_posterior(
     seed: int,
     **judged: Any,
 ) -> Posterior:
-    """Return a posterior of draws by emcee if `sampling` is given. Otherwise return Laplace's
-    approximation, or draws where this approximation is inaccurate.
-    """
+    """Return draws by emcee if asked, else Laplace's form or draws where it fails."""
     if sampling is None:
         of = adjusted_log_density, space, data.mode, covariance, data
         return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)

@@ -83,9 +83,7 @@ Prior = Float[np.ndarray, "turns turns"]  # P, in these units; None where it is 
 
 
 def rotate_lights(observation: Photographs, angles_across: Turns) -> Photographs:
-    """Rotate the lights by angles (lights, 2) in rad, about two axes perpendicular to each light's
-    direction.
-    """
+    """Rotate lights by (lights, 2) rad about two axes perpendicular to each."""
     moved = observation.wi + np.einsum("la,lac->lc", angles_across, across(observation.wi))[:, None]
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     cosine, mirror = angles(observation.normals, moved)
@@ -143,8 +141,7 @@ def likeliest_turns(
 def information_on_turns(
     shifts: Shifts, samples: Samples, selection: Selection, lights: int
 ) -> Prior:
-    """Return S^T S, the information of the images about the rotations of the lights, without the
-    prior from the rig."""
+    """Return S^T S, the images' information on rotations, without the rig's prior."""
     moves = shifts * inverse_deviation(samples)
     products = [[np.bincount(selection.light, a * b, lights) for b in moves] for a in moves]
     return np.asarray(block_diag(*np.moveaxis(np.array(products), -1, 0)))
@@ -383,9 +380,7 @@ def light_in_shadows(observation: Photographs, channel: int) -> float | None:
 
 
 def no_more_than(robust: Robustness, model: Matrix) -> bool:
-    """Return whether the variances from the images exceed a model's variances by no more than
-    chance.
-    """
+    """Return whether the images' variances exceed a model's by no more than chance."""
     least = np.maximum(robust.freedom, 1)
     known = np.isfinite(robust.freedom)
     likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)
@@ -395,8 +390,7 @@ def no_more_than(robust: Robustness, model: Matrix) -> bool:
 def add_stated_errors(
     robust: Robustness, stated: StatedErrors, information: Matrix, known: Int[np.ndarray, " known"]
 ) -> Robustness:
-    """Widen a covariance of the `known` parameters by the errors that the rig states, and adjust
-    its degrees of freedom."""
+    """Widen the `known` covariance, and its degrees of freedom, by stated errors."""
     inverse = np.linalg.inv(information)
     covariance, freedom = robust.covariance, robust.freedom
     if len(stated.of_lights) or stated.slopes is not None:

@@ -84,9 +84,7 @@ class Spread:
 
 
 def variance(spread: Spread, signal: OfSamples, *, slope: OfSamples | float = 1.0) -> OfSamples:
-    """Return the variance of the stored number in DN^2, including rounding, at a signal X in DN and
-    a slope d DN / d X.
-    """
+    """Return the variance of the stored number, DN^2, at signal X and slope d DN / d X."""
     linear = spread.floor + spread.shot * np.maximum(signal, 0)
     if spread.relative is not None:
         linear = linear + (spread.relative * signal) ** 2
@@ -131,9 +129,7 @@ def fit_spread(
 def flat_spread(
     residual: OfSamples, signal: OfSamples, slope: OfSamples, *, sensor: Spread | None
 ) -> Spread:
-    """Return the variance model for a fit's weights: the variance of the sensor plus the constant
-    that makes the residuals most likely.
-    """
+    """Return the sensor's variance plus the constant of most likely residuals."""
     bins = counts, squares, _, d = _bin_samples(residual, signal, slope)
     own = Spread(0.0, 0.0, None) if sensor is None else sensor
 
@@ -149,9 +145,7 @@ def flat_spread(
 def _deviance(
     spread_of: Callable[..., Spread], counts: Vector, squares: Vector, x: Vector, d: Vector
 ) -> Callable[..., float]:
-    """Return -2 ln L per residual, for binned residuals, as a function of the logarithms of the
-    variance model's terms.
-    """
+    """Return -2 ln L per binned residual, by the logarithms of the variance's terms."""
 
     def deviance(logs: np.ndarray) -> float:
         v = variance(spread_of(logs), x, slope=d)
@@ -193,9 +187,7 @@ class Optimum:
 
 
 def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
-    """Return the most likely parameters, found without start values. Terms whose best amplitude is
-    zero are removed from the model.
-    """
+    """Return the most likely parameters without a start; terms of zero are removed."""
     cells, first = project(average(samples, grouping))
     own = replace(samples, form=cells.form)
     if samples.form.free_gamma:  # the tried encodings are far from each other
@@ -264,9 +256,7 @@ def project(samples: Samples) -> tuple[Samples, Vector]:
 
 
 def _project(samples: Samples, gamma: float | None) -> SeparableFit:
-    """Return the amplitudes of diffuse, ambient and lobe, and the log shape, for a given
-    encoding.
-    """
+    """Return amplitudes of diffuse, ambient and lobe, and log shape, for an encoding."""
     form, geometry, white = samples.form, samples.geometry, float(samples.white)
     linear = decoded(samples.dn, float(samples.black), white, gamma)
     weights = (encoding_slope(linear, white, gamma) / samples.deviation) ** 2
@@ -302,9 +292,7 @@ def residual_signal_slope(
 
 
 def weighted(prediction: Prediction, samples: Samples, spread: Spread) -> Samples:
-    """Return the samples with the standard deviations that a variance model gives at a predicted
-    signal.
-    """
+    """Return the samples with a variance model's deviations at a predicted signal."""
     deviation = np.sqrt(variance(spread, prediction.signal, slope=prediction.slope))
     return replace(samples, deviation=deviation)
 

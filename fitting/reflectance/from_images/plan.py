@@ -69,9 +69,7 @@ def check_target(target: str, form: Form) -> None:
 def added_information(
     observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Return the Fisher information (P, P) that one more image adds, if its pixels are independent
-    and the model is right.
-    """
+    """Return the information (P, P) that one more image of independent pixels adds."""
     lit = observation.cosine[light] > 0
     samples = image_view(observation, fit.view.channel, light).samples(fit.form)
     prediction = predict(fit.vector, samples)
@@ -85,9 +83,7 @@ def added_information(
 
 
 def _candidate_lights(rigs: Photographs) -> tuple[Photographs, list[str]]:
-    """Return the object under distant lights over the hemisphere, and descriptions of the lights'
-    positions.
-    """
+    """Return the object under distant lights of a hemisphere, and these in words."""
     described, directions = [], []
     for tilt in FROM_VIEW:
         for turn in AROUND if tilt else (0,):
