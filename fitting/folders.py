@@ -331,7 +331,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 def _calibrate_sites(
     rig: "Rig", step: Step, draws: Draws, *, chains: bool = True
 ) -> "tuple[dict[str, NoiseCalibration], list[tuple[str, InputError]]]":
-    """Return the calibration of each site, with chains or Laplace's, and failed sites."""
+    """Return the calibration of each site, by chains or Laplace's method, and the failed sites."""
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
 

@@ -483,7 +483,7 @@ class _Channel:
 
     def cost(self, at: np.ndarray, passed: np.ndarray) -> tuple[float, np.ndarray]:
         """Return minus the logarithm of the evidence for sensitivities behind a filter, with broad
-        priors about a size of 1 and a length of 60 nm, and its gradient."""
+        priors about an amplitude of 1 and a correlation length of 60 nm, and its gradient."""
         smooth, slope = _matern(self.apart / np.exp(at[1]))
         size, seen = np.exp(2 * at[0]), self.light * passed
         of_prior = size * (seen @ smooth @ seen.T + self.light @ self.fine @ self.light.T)

@@ -175,7 +175,8 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 
 
 def _run_twice(session: Session, setting: Any) -> None:
-    """Run a setting twice. Settings after the first run only if time for a reference remains."""
+    """Run a setting twice. Settings after the first are run only if time for a reference
+    remains."""
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.elapsed + share * session.remaining
     try:

@@ -94,8 +94,8 @@ class Choice:
 
     def decide(self) -> None:
         """Drop the effects that the tolerance allows. Single effects come first, by bound per saved
-        time. Then the ladders are tried. A ladder is a group of alternative simplifications, such
-        as limits on path length; at most one of them is chosen."""
+        time. Then groups of alternative simplifications (`ladder`), such as limits on path length,
+        are tried; at most one of each group is chosen."""
         plain = [row for row in self.chain.rows if not row.ladder and row.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
