@@ -189,7 +189,7 @@ def _deleted_residuals(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """Return each level's deviation from a fit to all others, its error, and degrees."""
+    """Return each level's deviation from a fit to all others, its error, and degrees of freedom."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)
@@ -290,7 +290,7 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
 
 
 def _find_exchange(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
-    """Return the level whose frames were probably exchanged with these; None without."""
+    """Return the level whose frames were probably exchanged with these; None if there is none."""
     rates = signal / light
     usual = float(np.median(rates))
     for other in range(len(light)):

@@ -98,7 +98,8 @@ class ComparedLevels:
         return max(UNEVEN * self.scale(level), HALF * self.noise[level])
 
     def blocks(self, level: int, frame: FrameSample) -> Float[np.ndarray, "rows columns"]:
-        """Return means of blocks less the frame's, over signal (flats) or noise (darks)."""
+        """Return the means of blocks minus the frame's mean, divided by signal (flats) or noise
+        (darks)."""
         sample = frame.sample.astype(float)
         edges = [np.linspace(0, n, min(BLOCKS, n) + 1)[:-1].astype(int) for n in sample.shape]
         sums = np.add.reduceat(np.add.reduceat(sample, edges[0], 0), edges[1], 1)
@@ -146,7 +147,7 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """Return a pixel's noise by level, DN rms; for pairs at most twice that of others."""
+    """Return a pixel's noise at each level, DN rms; for two frames at most twice that of others."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)

@@ -16,7 +16,7 @@ LESS = 1 / 3  # largest share of the scatter that may remain with exact times
 
 
 def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
-    """Yield exact times in whole, half and third stops that may have been so rounded."""
+    """Yield exact times in whole, half and third stops whose rounded values these times may be."""
     for parts in STOPS:
         exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
         off = np.abs(exact / times - 1).max()

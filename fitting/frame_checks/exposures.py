@@ -23,7 +23,7 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation: at most for another scene, at least
 def odd_exposures(
     where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
 ) -> list[OddFrames]:
-    """Return copies, images of another scene, and images in the wrong order to leave out."""
+    """Return the images to leave out: copies, images of another scene, or in the wrong order."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -97,7 +97,7 @@ def _copied_exposures(
 def _other_scene_images(
     frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Return images that correlate with no other where most do, with the reason."""
+    """Return the images that correlate with no other image although most do, with the reason."""
     alike = np.full((len(frames), len(frames)), np.nan)
     for i, j in combinations(left, 2):
         one, other = _clear(frames, i, j, full_scale)
@@ -162,6 +162,6 @@ def _darker(
 def _contradictions(
     darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Return (shorter, longer) pairs of which the longer gives the darker image."""
+    """Return (shorter, longer) pairs in which the longer exposure gives the darker image."""
     longer = times[None, :] > LONGER * times[:, None]
     return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

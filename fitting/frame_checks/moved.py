@@ -96,7 +96,7 @@ def _group_frames(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | 
 def _leave_out(
     levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
 ) -> None:
-    """Remove all frames but the largest group's of each level, and both of a pair."""
+    """Remove, at each level, the frames outside the largest group, or both frames of a pair."""
     gone: dict[bool, list[str]] = {True: [], False: []}
     example = ""
     for level in sorted(groups):

@@ -435,7 +435,7 @@ def _limit_read_noise(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[
 
 @compiled_briefly
 def _sheet_and_slopes(mode: Array, saturation: Array | None, args: tuple) -> tuple[dict, dict]:
-    """Return the sheet and its derivatives by parameters and by the saturation point."""
+    """Return the sheet and its derivatives with respect to parameters and saturation point."""
     slopes = jax.jacfwd(likelihood_sheet, argnums=(0, 1))(mode, saturation, args)
     return likelihood_sheet(mode, saturation, args), slopes
 

@@ -1,11 +1,12 @@
 """Compare the fixed pattern of the darks with that of the flats.
 
 The same sensor in the same state has the same offsets and dark currents of pixels in flats and
-darks of one exposure. A flat is then the pattern of its dark, times a share c = 1, plus the pattern
-of unequal sensitivities, which is another one, plus noise. Darks of another temperature, exposure
-or gain have another c. One half of the frames of a dark level is the regressor and the other one
-the instrument, so that the noise of darks does not reduce c. Patterns of rows, columns, quadrants
-and checkerboards are left out, because amplifiers may differ in offset and gain.
+darks of one exposure. A flat then contains the pattern of its dark, times a factor c = 1, an
+independent pattern of unequal sensitivities, and noise. With darks of another temperature, exposure
+or gain, c differs from 1. In the regression for c, one half of the frames of a dark level is the
+regressor and the other half the instrumental variable, so that the noise of the darks does not
+reduce c. Patterns of rows, columns, quadrants and checkerboards are left out, because amplifiers
+may differ in offset and gain.
 """
 
 from collections.abc import Sequence
@@ -30,7 +31,8 @@ def dark_pattern_in_words(
     flats: Sequence[Sequence[FrameSample]],
     darks: Sequence[Sequence[FrameSample]],
 ) -> list[str]:
-    """Return a sentence if the flats have another share of the darks' pattern than all of it."""
+    """Return a sentence if the flats do not contain exactly the pattern of the darks (c is not
+    1)."""
     found = share_of_pattern(measurement, flats, darks)
     if found is None or abs(found[0] - 1) < max(SURE * found[1], LEAST):
         return []

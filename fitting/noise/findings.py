@@ -169,7 +169,7 @@ def _lamp(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _dim(calibration: NoiseCalibration) -> Numbers | None:
-    """The brightest level, if it is within the range of 8 bits, although the camera has more."""
+    """Return the brightest level if it is within 8 bits although the camera has more bits."""
     measurement = calibration.measurement
     top, step = measurement.full_scale or 0.0, min(measurement.converter.step or 1.0, 1.0)
     brightest = float(measurement.bright.mean.max())
@@ -324,9 +324,9 @@ def _noise_of_darks(differs: bool, calibration: NoiseCalibration) -> Numbers | N
 
 
 def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, float] | None:
-    """Compare the noise of the darks with that of the flats without light; None where the levels do
-    not tell it. The variance of flats less that of their darks is a parabola over signal, which
-    without light is 0."""
+    """Compare the noise of the darks with the noise of the flats extrapolated to no light; None
+    where the levels do not determine it. The variance of the flats minus the variance of their
+    darks is a parabola over the signal, and is 0 without light."""
     bright, dark = measurement.bright, measurement.dark
     signal, shot = signal_of(measurement)[usable], shot_of(measurement)[usable]
     low = signal < signal.max() / 2
@@ -350,7 +350,7 @@ def _dark_noises(measurement: PhotonTransfer, usable: np.ndarray) -> dict[str, f
 
 
 def _dark_signal(calibration: NoiseCalibration) -> Numbers | None:
-    """Return the dark signal as a share of a light that follows the times; None if small."""
+    """Return the dark signal as a share of a light that is proportional to time; None if small."""
     measurement, usable = calibration.measurement, calibration.usable
     bright, dark = measurement.bright, measurement.dark
     times, lit = np.asarray(dark.exposure), np.asarray(bright.exposure)[usable]

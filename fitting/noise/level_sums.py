@@ -216,8 +216,9 @@ class LevelSums:
         (or column) is uneven.
 
         Under a flickering lamp, a rolling shutter multiplies the light of a row in a frame by 1 +
-        e. The mean of the row shows e times its mean signal, and a pixel in addition e times the
-        deviation P of its signal from this mean: e^2 P^2, which no noise shared by a row contains.
+        e. The mean of the row then changes by e times its mean signal, and a pixel in addition by e
+        times the deviation P of its signal from this mean. This adds the variance e^2 P^2, which
+        noise shared by a row does not contain.
         """
         if self._unlit is None or min(self.live.shape) == 1:
             return 0.0

@@ -18,8 +18,8 @@ of s_k DN at the knee, the shot-noise variance at the signal s is
     r K (s - (1 - r) s_k)      above.
 
 From below to above the knee, the variance falls by the factor r^2, similarly to the fall at a full
-well, and then rises again. The knee is found from signal and variance without the light, so a lamp
-that changes between levels neither hides nor imitates it.
+well, and then rises again. The knee is found from signal and variance alone, not from the light, so
+a lamp that changes between levels neither hides nor imitates it.
 """
 
 from typing import NamedTuple

@@ -159,7 +159,7 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Refuse standard deviations: their squares, not they, follow the signal."""
+    """Refuse standard deviations in place of variances, which are proportional to the signal."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):

@@ -401,7 +401,7 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """Return the log density of the parameters by the histograms' Gaussian result."""
+    """Return the log density of the parameters under the Gaussian result from the histograms."""
     at = counted.levels
     light = data.light[at]
     electrons = expected_electrons(values, data, light, data.lit[at], data.exposure[at])

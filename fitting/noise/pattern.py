@@ -50,7 +50,8 @@ class Spread:
 
     @property
     def error(self) -> float:
-        """Standard error of the population's variance, with the sampling of these pixels."""
+        """Standard error of the population's variance, with the error from sampling these
+        pixels."""
         return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
 
     @property

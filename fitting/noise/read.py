@@ -322,7 +322,7 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 
 
 def _drop_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
-    """Return the rig without frames that metadata contradict, these, and remarks."""
+    """Return the rig without frames that contradict their metadata, these frames, and remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
         Stated(name, rig.path(name), entry.exposure, group)
@@ -355,7 +355,7 @@ def _reduce_levels(
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
 ) -> tuple[Levels, list[tuple[FrameSample, ...]], Codes]:
-    """Compute each level's statistics without deviating frames, summaries, and codes."""
+    """Compute each level's statistics (without deviating frames), frame summaries, and codes."""
     rig, gone, codes = source.rig, list(odd), Codes()
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])

@@ -143,7 +143,7 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 
 
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
-    """Return the figures by regressions and by likelihood, then its other parameters."""
+    """Return the figures by regressions and by likelihood, then other parameters of the fit."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
     measurement, within = calibration.measurement, calibration.within
     values, listed = calibration.standard.values, []
@@ -270,7 +270,7 @@ def deviation_estimate(
     relative: float = 0.0,
     method: str = "",
 ) -> Estimate:
-    """Return the deviation of an estimated variance, or (in `why`) a bound if it is hidden."""
+    """Return the root of an estimated variance, or a bound (in `why`) if it is not significant."""
     if not spread.significant:
         bound = f"below {scale * np.sqrt(spread.bound):.3g} {what.unit}"
         return not_determined(what, why.format(bound), method=method)

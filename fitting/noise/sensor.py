@@ -227,7 +227,7 @@ def mode_without(
 def _parameters_outside_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Return sensor fields by name (mostly variances, DN^2), best then draws."""
+    """Return sensor fields by name (mostly variances, DN^2), the best value before the draws."""
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
@@ -292,7 +292,7 @@ class About(eqx.Module):
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
-    """Make the sensor of one draw: `natural` of the likelihood, and `known` beside it."""
+    """Make the sensor of one draw from the parameters of the likelihood and from `known` ones."""
     values = dict(zip(about.labels, natural, strict=True))
     converter, scale = about.converter, about.full_scale
     gain, read = values["system_gain"], (values["read_noise"] * values["system_gain"]) ** 2

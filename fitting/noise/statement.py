@@ -312,7 +312,7 @@ def _chi_square(vector: Array, problem: Problem) -> Array:
 
 
 def fit_without_levels(fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"]) -> Optimum:
-    """Fit the same model, with the same program, without some levels but the first."""
+    """Fit the same model, with the same compiled program, without some levels (not the first)."""
     gone, problem = jnp.asarray(left_out)[:, None], fit.problem
     assert problem.present is not None
     problem = eqx.tree_at(
@@ -482,7 +482,7 @@ def _drifting_lamp(
 def _drop_candidates(fit: LikelihoodFit, standard: Sheet, sharing: bool) -> LikelihoodFit:
     """Drop candidates that fail the criterion, the weakest first, and fit again each time. If
     nearest neighbours covary significantly (`sharing`), the stronger of mixing and brighter-fatter
-    effect stays in the model, however uncertain its size. Without both effects, the gain would be
+    effect stays in the model, however uncertain its size. Without either effect, the gain would be
     wrong by more than its error."""
     while True:
         there = [one for one in fit.problem.candidates if one.name not in fit.without]

@@ -86,7 +86,7 @@ def _way(
     edge: int,
     beyond: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ln X at the codes `beyond` minus that at the code `edge`, and its variance."""
+    """Return ln X at the codes `beyond` minus ln X at the code `edge`, and the variance of this."""
     used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
     used = used[used != edge]
     both = np.concatenate([used, beyond])

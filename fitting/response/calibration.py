@@ -114,7 +114,7 @@ def calibrate(
 def _recalibrate_with_exact_times(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """Return stack and calibration, with exact times if the stated are rounded."""
+    """Return stack and calibration, with exact times if the stated times are rounded."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -234,7 +234,7 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """Return the first codes that a curve fits, and it: through mid-scale, else dim."""
+    """Return the first curve that can be fitted, and its codes; dim images are allowed last."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):

@@ -69,7 +69,7 @@ def _neighbourhood(mask: np.ndarray) -> np.ndarray:
 
 
 def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
-    """Return probable hidden peaks: sharpened, a shorter exposure reaches clipping codes."""
+    """Return probable hidden peaks, where a sharpened shorter exposure reaches codes that clip."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
         clipped = (longer >= clip) & scene

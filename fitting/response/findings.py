@@ -316,7 +316,7 @@ def _moved_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _local_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on tone mapping by place, which exposures do not show."""
+    """Return a finding on local tone mapping, which a comparison of exposures does not reveal."""
     gammas = [channel.gamma.gamma for channel in channels]
     encoded = any(
         one.value is not None and abs(one.value - 1) > ENCODED + 3 * (one.standard_error or 0.0)
@@ -452,7 +452,7 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Return a finding on curves of the least smoothness that are no gamma."""
+    """Return a finding on curves that are no gamma and have the smallest allowed smoothness."""
     if not any(c.curve.smoothness <= ROUGHEST for c in channels):
         return ""
     rough = [

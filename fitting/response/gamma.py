@@ -276,7 +276,7 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
 
 
 def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the covariance of (ln gamma, ln tau) on the grid; the mode is too flat."""
+    """Return the covariance of (ln gamma, ln tau), from the grid, as the mode is very flat."""
     mean = np.asarray(given.mean)
     away = np.stack([np.log(mean), log_tau])
     away -= (away @ weights)[:, None]

@@ -101,7 +101,7 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Return observations less pixels; refuse if it is not positive."""
+    """Return the number of observations minus the number of pixels; refuse 0 and less."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)

@@ -109,7 +109,7 @@ def _mean_of_neighbours(image: np.ndarray) -> np.ndarray:
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Return each pixel's class by `values`, equally full of `counted` pixels."""
+    """Return the class of each pixel by `values`; all classes have as many `counted` pixels."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 

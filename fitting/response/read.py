@@ -228,7 +228,7 @@ def from_stack(
 
 
 def _drop_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """Return the rig without exposures that metadata contradict, and findings on them."""
+    """Return the rig without exposures that contradict their metadata, and findings on these."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
         Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))

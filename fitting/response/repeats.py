@@ -77,7 +77,7 @@ class Repeats:
     def excess_variance(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
-        """Return significant variance beyond `explained`, else 0, and its degrees."""
+        """Return significant variance beyond `explained`, else 0, and its degrees of freedom."""
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, FALSE_ALARM_PROBABILITY) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
@@ -169,7 +169,7 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Return the variance of g at bin centres by that of the equations' right side."""
+    """Return the variance of g at bin centres, from that of the equations' right-hand side."""
     size = len(found.means)
     rows = bin_centre_curve(found.covariance[:size], bins)
     return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)

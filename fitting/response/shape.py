@@ -61,7 +61,8 @@ class Shape:
 
 
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
-    """Return the tested codes: 5 to 95 %, curve known to 5 %, a pixel to 10 %."""
+    """Return the tested codes: 5 to 95 % of the range, curve known to 5 %, a pixel's light to
+    10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < LARGEST_STANDARD_ERROR) & (

@@ -41,7 +41,7 @@ class NoiseModel:
 def noise_variance(
     noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " points"]:
-    """Return the variance of a pixel's log exposure by noise."""
+    """Return the variance of a pixel's log exposure due to noise."""
     inverse = np.exp(-log_exposure)
     return noise.relative + noise.shot * inverse + noise.read * inverse**2
 
@@ -102,7 +102,7 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Return the largest rms rounding, in ln X, of used codes that no noise dithers."""
+    """Return the largest rms rounding error, in ln X, of used codes that no noise dithers."""
     # The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with
     # the period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with
     # little noise had half of their codes outside the band. Exposures far apart need all codes.

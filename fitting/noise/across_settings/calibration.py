@@ -60,7 +60,8 @@ class Pooled:
 
     @property
     def serves(self) -> bool:
-        """Whether one value serves all settings: they agree, or differ by less than 10 %."""
+        """Whether one value serves all settings, as their values agree or differ by less than
+        10 %."""
         return self.holds or self.spread < LARGEST_RELATIVE_SPREAD * abs(self.value)
 
     @property

@@ -108,7 +108,7 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(determined: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current has no fitted law though none was rejected; is it `determined`?"""
+    """Whether dark current has no law, although none was rejected, and is `determined` or not."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1

@@ -56,7 +56,7 @@ OWN_HEADINGS = {
 
 @double_precision
 def section(calibration: CameraCalibration) -> Section:
-    """Return the report section of the joint fit: what settings share, and what each gain has."""
+    """Return the report section of the joint fit, with common quantities and those of each gain."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
         f"sensor_{word_for_file(t)}".rstrip("_"): partial(write_sensor_at, calibration, g)

@@ -33,7 +33,7 @@ def number_of(sensor: Sensor, field: str, *, absent: float = 0.0) -> float:
 
 
 def rms_of(sensor: Sensor, fields: tuple[str, ...]) -> float:
-    """Return the rms of independent deviations that a sensor states, together."""
+    """Return the root sum of squares of the independent deviations that a sensor states."""
     return float(np.hypot.reduce([number_of(sensor, field) for field in fields]))
 
 

@@ -348,7 +348,7 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
-    """Return the fitted relative scatter of light and variances, in no camera file."""
+    """Return the fitted relative scatter of light and variances, which no camera file contains."""
     values = calibration.chosen.values
     drift = float(values.get("light_drift", 0.0))
     return {

@@ -187,7 +187,7 @@ def histograms_figure(averages: Averages, *, accumulated: bool) -> "Figure":
 
 
 def spectrograms_figure(averages: Averages) -> "Figure":
-    """Draw amplitudes over frequency: DSNU above PRNU, horizontal beside vertical."""
+    """Draw amplitudes over frequency, DSNU above PRNU, the horizontal beside the vertical ones."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     figure, axes = empty_panels((7.2, SIZE[1]), rows=2, columns=2, sharex=True, sharey="row")

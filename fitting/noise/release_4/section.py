@@ -146,7 +146,7 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """Return a deviation from draws of its variance, or a limit if they include 0."""
+    """Return a standard deviation from draws of its variance, or a limit if they include 0."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
     if ends[0] <= 0 or variance <= 0:
