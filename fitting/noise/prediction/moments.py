@@ -27,7 +27,7 @@ MOST = 1024  # most offsets; for a wider spread they are farther apart
 
 
 def number_of(sensor: Sensor, field: str, *, absent: float = 0.0) -> float:
-    """Return a number of a sensor, or that of a sensor without this field."""
+    """Return a number of a sensor, or `absent` if the sensor lacks this field."""
     value = getattr(sensor, field)
     return absent if value is None else float(value)
 
