@@ -261,7 +261,7 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
                 f"{p.name} {100 * p.error:.2g} % in {1e3 * p.seconds:.3g} ms" for p in sheet.peers
             )
             if told:
-                lines.append(f"| | peers of {sheet.curve.knob.name} | {told} | | | |")
+                lines.append(f"| | other programs, {sheet.curve.knob.name} | {told} | | | |")
         lines.append("")
         lines += [
             f'<img src="atlas/{slug(n)}.svg" width="300" class="curve" alt="{n}">' for n in names

@@ -1,14 +1,14 @@
-"""Demosaicing and JPEG against colour-demosaicing, OpenCV and kornia, in one process in turns.
+"""Compare demosaicing and JPEG with colour-demosaicing, OpenCV and kornia, in alternation.
 
     pytest tests/benchmarks/bench_develop.py -m benchmark -s
 
-OpenCV demosaics integers only: its 16-bit picture has half the bytes of ours. kornia's JPEG rounds
-softly, as "cubic" does.
+OpenCV demosaics integers only, so its 16-bit picture has half the bytes of ours. kornia's JPEG
+rounds by a smooth function, as "cubic" does.
 
-Pictures of more than 32 MB are new pages at every call, which the system clears one by one: "ours,
-nothing but the picture" only writes one, and at 2048 x 2048 that takes most of the time. Run with
-GLIBC_TUNABLES=glibc.malloc.hugetlb=1 the pages are large, as NumPy's and OpenCV's are, and it does
-not.
+Pictures of more than 32 MB need new memory pages at every call, which the system clears one by one.
+"ours, nothing but the picture" only writes such a picture, and at 2048 x 2048 pixels this takes
+most of the time. It does not with large pages, as NumPy and OpenCV have them: set
+GLIBC_TUNABLES=glibc.malloc.hugetlb=1.
 """
 
 import time

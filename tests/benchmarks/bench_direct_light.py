@@ -1,7 +1,9 @@
-r"""Direct light as an exact sum, 512 x 512, 8 spheres and a plane, 3 points, Phong, shadowed and
-not, beside Mitsuba 3 (llvm_ad_rgb) doing the same: a Python integrator that sums all emitters, by
-one shadow ray each where there are shadows, and a Python BSDF that is our `PhongBRDF`. Then the
-gradient of an image loss in all BRDF parameters.
+r"""Compare direct light by exact sums with Mitsuba 3 (`llvm_ad_rgb`), and the gradient of an image
+loss by all BRDF parameters.
+
+The scene has 8 spheres, a plane and 3 point lights with Phong BRDFs, at 512 x 512 pixels, with and
+without shadows. Mitsuba computes the same by a Python integrator that sums all emitters, with a
+shadow ray to each if there are shadows, and a Python BSDF equal to our `PhongBRDF`.
 
     DRJIT_LIBLLVM_PATH=... pytest -m benchmark --benchmark-enable -s \
         tests/benchmarks/bench_direct_light.py

@@ -1,4 +1,4 @@
-"""What leaving out saves: each effect as it is, pruned, and where it was never there.
+"""Time each optional effect as it is, pruned, and in a scene without it.
 
 pytest -m benchmark --benchmark-enable -s tests/benchmarks/bench_effects.py
 """

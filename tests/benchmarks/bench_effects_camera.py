@@ -1,7 +1,8 @@
-"""What idle effects of a camera cost: always on (their number is 0), pruned, and never there.
+"""Time camera effects of zero size: always on, pruned, and in a camera without them.
 
-The stage of a lens at a megapixel, a motion that does not move at 256 x 256 pixels, and a raw frame
-of a megapixel with one source of noise. Rivals take turns; ratios are always on / pruned.
+The examples are the effects of a lens at a megapixel, a motion of zero speed at 256 x 256 pixels,
+and a raw frame of a megapixel with one source of noise. Programs are timed in alternation. Ratios
+are always on / pruned.
 
     pytest tests/benchmarks/bench_effects_camera.py -m benchmark -s
 """

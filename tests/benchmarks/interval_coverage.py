@@ -134,7 +134,7 @@ def charts(count: int = 40) -> None:
 
 
 def mattes(count: int = 40) -> None:
-    """Also composites before yellow: of the true colours, by `alpha_sd`, and of estimated ones."""
+    """Write the rows of mattes and of composites over yellow, of true and of estimated colours."""
     new = np.broadcast_to([0.9, 0.8, 0.2, 1.0], (24, 24, 4))
     colours = jax.jit(jax.vmap(matting.estimate_foreground, (None, 0)))
     names = "alpha", "over yellow", "over yellow, estimated colours"

@@ -194,7 +194,7 @@ mattes, and SciPy for fits.
 - **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
   ratios, not the milliseconds, which depend on the machine. Rows with "equal error"
   compare time multiplied by squared error. Rows without a peer give the time alone.
-- **Not covered**: GPUs, because most of the peers run on processors only
+- **Not covered**: GPUs, because most of the other programs run on processors only
   ([decisions](decisions.md) has some times); and the first compilation of single
   functions, because it happens once for each shape of the arguments, and its program is
   kept for later runs.

@@ -69,7 +69,7 @@ def test_a_ball_through_two_amplifiers_has_the_right_reflectance(kind):
     ],
 )
 def test_rows_and_columns_of_two_amplifiers_are_no_mosaic(cell, key):
-    """In light that rises by 5 % a pixel, too."""
+    """The amplifiers are also found in light that rises by 5 % a pixel."""
     light = np.random.default_rng(2).normal(1000, 10, (40, 40)) * 1.05 ** np.arange(40)
     clause, found = unequal_sites(light * np.tile(cell, (20, 20)))
     assert found == key

@@ -438,7 +438,7 @@ def test_a_shape_at_nan_has_hits_of_nan():
 
 
 def test_shapes_that_rays_miss_or_meet_twice_are_named():
-    """By every renderer, at the first scene with known numbers."""
+    """Every renderer names them at the first scene whose numbers are known."""
     hole = TriangleMesh([[0, 0, 1.0], [1, 0, 1], [0, np.nan, 1]], [[0, 1, 2]])
     ball = Sphere([0, 0, 0], 1)
     mesh = TriangleMesh(CUBE.vertices, CUBE.faces)

@@ -78,7 +78,7 @@ def test_empty_and_full_coverage():
 
 
 def test_an_error_of_the_coverage_moves_the_composite():
-    """Against draws of the coverage, and the exact error of a pixel that the front hides."""
+    """The errors agree with draws of the coverage; that of a hidden pixel is exact."""
     own, behind, sd = np.asarray(A), np.asarray(B), RNG.uniform(0.01, 0.1, (4, 5, 1))
     made, found = c.over(A, B, alpha_sd=sd)
     np.testing.assert_array_equal(made, c.over(A, B))

@@ -188,7 +188,7 @@ def test_faint_light_and_few_bits_have_the_moments_of_counts(
 
 @pytest.mark.slow
 def test_counts_without_read_noise_are_rounded_as_the_converter_does():
-    """Halves go to the even number, and a full well is one number without variance."""
+    """Halves are rounded to even codes, and a full well gives one code without variance."""
 
     @jax.jit
     def found(electrons, gain, well):
@@ -209,7 +209,8 @@ def test_counts_without_read_noise_are_rounded_as_the_converter_does():
 
 @pytest.mark.slow
 def test_a_signal_far_above_a_narrow_window_is_its_upper_end():
-    """10^15 DN with noise of 3e10 DN, in float32, for a converter that ends at 65535 DN."""
+    """In float32, a signal of 10^15 DN with noise of 3e10 DN has the mean 65535 DN and variance 0
+    if the converter ends at 65535 DN."""
     far = Moments(jnp.array(1e15, jnp.float32), jnp.array(1e21, jnp.float32))
     ends = {name: jnp.array(x, jnp.float32) for name, x in (("low", 0), ("high", 65535))}
     assert [float(x) for x in censored(far, **ends)] == [65535, 0]

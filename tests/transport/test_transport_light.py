@@ -179,7 +179,7 @@ def test_unsupported_ray_tree_options_raise():
         ray_tree_radiance(spheres(), Ray(jnp.zeros(3), jnp.asarray([0.0, 0, 1])), rays=0)
 
 
-# ------------------------------------------------ what leaves a source
+# ------------------------------------------------ emission from sources
 
 U = np.random.default_rng(3).random((100000, 5))
 SMALL = Surface(Sphere([0.0, 0, 0], 0.5), BLACK)
@@ -309,7 +309,7 @@ def test_an_emitting_plane_raises():
         light_traced(KEY, scene, view, paths=4)
 
 
-# ------------------------------------------------ two ways, one picture
+# ------------------------------------------------ light tracing against path tracing
 
 ROOM = [
     Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), jv.Lambert([0.2, 0.1])),
