@@ -249,8 +249,20 @@ def lights(
     kind: Annotated[
         Literal["mirror", "matte"], typer.Option(help="Highlights of a mirror, or shading.")
     ] = "mirror",
-    bits: Annotated[int, typer.Option(help="ADC bits of the images.", min=1, max=16)] = 8,
-    black_level: Annotated[float, typer.Option(help="DN without light.", min=0)] = 0.0,
+    bits: Annotated[
+        int | None, typer.Option(help="ADC bits of the images (default: 8).", min=1, max=16)
+    ] = None,
+    black_level: Annotated[
+        float | None, typer.Option(help="DN without light (default: 0).", min=0)
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="Rig whose [camera] is used in place of --bits and --black-level: taps, mosaic.",
+            parser=typed_path,
+            metavar="RIG",
+        ),
+    ] = None,
     focal_length: Annotated[
         float | None,
         typer.Option(help="Focal length, pixels (default: an orthographic view).", min=1.0),
@@ -270,10 +282,12 @@ def lights(
 
     def calibrate_lights(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the covariance is Gaussian")
-        known = {"bits": bits, "black_level": black_level}
+        if rig is not None and (bits, black_level) != (None, None):
+            raise InputError("give either --rig, or --bits and --black-level.")
+        known = {"bits": bits or 8, "black_level": black_level or 0.0}
         asked = {"focal_length": focal_length, "radius": radius, "outline_sd": outline_sd}
         return folders.lights(
-            images, mask, reporter.step, known, out=options.out, kind=kind, **asked
+            images, mask, reporter.step, known, rig=rig, out=options.out, kind=kind, **asked
         )
 
     run("Lights", images[0].parent, options, calibrate_lights)

@@ -4,6 +4,7 @@ figures. A calibration needs only the path, so any process can run it.
 The numerical libraries are imported after the rig has been checked.
 """
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -521,6 +522,7 @@ def lights(
     step: Step,
     known: dict[str, Any],
     *,
+    rig: Path | None = None,
     out: Path | None = None,
     **settings: Any,
 ) -> Found:
@@ -530,7 +532,8 @@ def lights(
         images: files, one per light; masks among them are left out.
         masks: files, one per ball.
         step: function that reports progress.
-        known: `bits` and `black_level` of the camera.
+        known: `bits` and `black_level` of the camera, without a rig.
+        rig: rig whose camera is used, with its taps or mosaic.
         out: folder to which the rig is written.
         settings: arguments of `lights.calibrate`: kind, focal_length, radius, outline_sd.
 
@@ -548,25 +551,31 @@ def lights(
     from .frame_checks.heads import different_settings
     from .lights import calibrate
     from .lights.section import section
-    from .observation import read_frame, read_mask
-    from .rig import Camera, require_one_file_each
+    from .observation import equalised_camera, read_grey_frame, read_mask
+    from .rig import Camera, load_rig, require_one_file_each
 
     require_one_file_each("the photographs", [image.name for image in images])
 
-    camera = Camera(**known)
+    camera = Camera(**known) if rig is None else load_rig(rig).camera
+    if camera.encoding is not None:
+        raise InputError(
+            f"{rig}: states a camera.gamma of {camera.gamma:g}, but lights are found from linear "
+            "images; give such images, and a rig without camera.gamma."
+        )
     with step("reading images"):
-        frames = [read_frame(image, camera) for image in images]
+        frames = [read_grey_frame(image, camera) for image in images]
         balls = [read_mask(mask, camera) for mask in masks]
     with step("finding the lights"):
         found = calibrate(
             frames,
             balls,
-            camera=camera.at("grey"),
+            camera=equalised_camera(camera),
             files=[image.name for image in images],
             **settings,
         )
     root = os.path.relpath(folder, out or Path()).replace(os.sep, "/")
-    lines = "\n".join(f"{name} = {value}" for name, value in known.items())
+    stated = camera.model_dump(mode="json", exclude_none=True, exclude={"sensor"})
+    lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in stated.items())
     said = section(found, root=root, camera=lines)
     if differing := different_settings(images):
         sentence = (

@@ -291,6 +291,24 @@ def equalise_sites(image: np.ndarray, camera: Camera) -> np.ndarray:
     return (image - black) * (np.mean(camera.gain or 1.0) / gain) + np.mean(camera.black_level or 0)
 
 
+def read_grey_frame(path: Path, camera: Camera) -> np.ndarray:
+    """Return the digital numbers of one image at one black level and gain, the mean of the colours
+    of a mosaic. A pixel that a saturated one contributes to is saturated."""
+    frame = equalise_sites(read_frame(path, camera), camera)
+    if camera.pattern is None:
+        return frame
+    from scipy.ndimage import maximum_filter
+
+    from jaxvision import demosaic
+
+    top, left = (camera.region or (0, 0))[:2]
+    rows = [camera.pattern[2 * (i % 2) :][:2] for i in (top, top + 1)]
+    phase = "".join(row[j % 2] for row in rows for j in (left, left + 1))
+    clip = equalised_camera(camera).clip_level
+    grey = np.asarray(demosaic(frame, phase, method="bilinear")).mean(axis=-1)
+    return np.where(maximum_filter(frame >= clip, 3), np.maximum(grey, clip), grey)
+
+
 def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
     """Return the names of all sites, and their channels if a list has them."""
     lengths = [len(v) for name in BY_SITE if isinstance(v := getattr(camera, name), tuple)]

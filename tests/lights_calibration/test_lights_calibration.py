@@ -26,7 +26,7 @@ from fitting.reflectance.from_images.lights import marginalise_directions
 from fitting.reflectance.from_images.read import across, read_reflectance_observation
 from fitting.reflectance.from_images.samples import View, group, select
 from fitting.reflectance.from_images.signal import Form
-from fitting.rig import SiteCamera
+from fitting.rig import SiteCamera, load_rig
 from jaxvision.errors import InputError
 from jaxvision.files.images import write_image
 
@@ -430,6 +430,36 @@ def test_the_command_writes_a_rig(tmp_path):
     status, _, told = called(app, "lights", *images, *asked)
     assert status == 2
     assert "0.png: no highlight on the ball" in told
+
+
+@pytest.mark.parametrize(
+    ("stated", "tile"),
+    [('taps = "top and bottom"', None), ('pattern = "GRBG"', [[1.0, 0.8], [0.7, 1.0]])],
+)
+def test_the_command_takes_the_taps_and_the_mosaic_of_a_rig(tmp_path, stated, tile):
+    upper = ROWS < SIDE // 2
+    black = np.where(upper | (tile is not None), 64.0, 80.0)
+    gain = np.where(upper, 1.0, 0.8) if tile is None else np.tile(tile, (SIDE // 2, SIDE // 2))
+    numbers = "black_level = [64, 80]\ngain = [1.0, 0.8]" if tile is None else "black_level = 64"
+    (tmp_path / "rig.toml").write_text(f"[camera]\nbits = 12\n{stated}\n{numbers}\n")
+    for i, image in enumerate(IMAGES[5:]):
+        raw = np.clip(black + (image - 64) * gain, 0, 4095)
+        write_image(tmp_path / f"{i}.png", raw.round().astype(np.uint16))
+    write_image(tmp_path / "mask.png", MASK.astype(np.uint8) * 255)
+    images = [str(tmp_path / name) for name in ("0.png", "1.png", "2.png")]
+    asked = ["--mask", str(tmp_path / "mask.png"), "--rig", str(tmp_path / "rig.toml")]
+    out = tmp_path / "out"
+    status, _, told = called(app, "lights", *images, *asked, "--out", out)
+    assert status == 0, told
+    equal = calibrate(IMAGES[5:], [MASK], camera=CAMERA)
+    found = read_lights(out / "lights.npz")
+    shift = np.linalg.norm(found.places - equal.places, axis=1)
+    assert shift.max() < 2 * 0.1 / RADIUS  # a tenth of a pixel
+    one, other = (x.intensities / x.intensities.mean() for x in (found, equal))
+    np.testing.assert_allclose(one, other, rtol=0.05)  # .14 if the taps are not used
+    assert load_rig(out).camera == load_rig(tmp_path).camera
+    status, _, told = called(app, "lights", *images, *asked, "--bits", "12")
+    assert (status, "give either --rig, or --bits" in told) == (2, True)
 
 
 def test_correlated_rotations_are_marginalised_as_one_gaussian():
