@@ -13,7 +13,7 @@ Scalar functions work elementwise. Vector functions work over the last axis of (
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -156,6 +156,12 @@ def binary_unit(x: Float[Array, "..."]) -> Scalars:
     finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
     return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
+
+
+def unknown_at_nan(found: Any, given: Any) -> Any:
+    """Return a record or number, all of which is NaN if `given` has a number that is NaN."""
+    lost = jnp.isnan(sum(jnp.sum(x) for x in jax.tree.leaves(given)))
+    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), found)
 
 
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:

@@ -137,10 +137,16 @@ def _unmet(shape: Shape) -> list[str]:
     if not isinstance(shape, TriangleMesh):
         return invalid(shape)
     lost = int((~np.isfinite(np.asarray(shape.vertices)).all(axis=1)).sum())
+    if lost:
+        return [
+            f"TriangleMesh: {lost} of its {len(shape.vertices)} vertices are not finite, and rays "
+            "miss the triangles there; leave them out."
+        ]
     return [
-        f"TriangleMesh: {lost} of its {len(shape.vertices)} vertices are not finite, and rays miss "
-        "the triangles there; leave them out."
-    ][:lost]
+        f"TriangleMesh.{name} holds a number that is not finite."
+        for name in ("normals", "uv")
+        if (value := getattr(shape, name)) is not None and not np.isfinite(np.asarray(value)).all()
+    ]
 
 
 def coincident(shapes: Sequence[Shape | None], names: Sequence[str]) -> list[str]:

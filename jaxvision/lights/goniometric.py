@@ -22,7 +22,16 @@ from jaxtyping import Array, Float
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, numbers
 from ..core._kinds import Photometry
-from ..core._numerics import arctan2, divide, dot, norm, normalize, reciprocal, safe_sqrt
+from ..core._numerics import (
+    arctan2,
+    divide,
+    dot,
+    norm,
+    normalize,
+    reciprocal,
+    safe_sqrt,
+    unknown_at_nan,
+)
 from ..core._quadrature import gauss_legendre
 from ..core._shown import Shown
 from ..core._types import (
@@ -212,7 +221,8 @@ def relative_intensity(light: Goniometric, direction: Direction) -> Scalar:
     table = light.distribution
     upper = (1 - t) * table[i, k] + t * table[i, m]
     lower = (1 - t) * table[j, k] + t * table[j, m]
-    return jnp.where(above & within, (1 - s) * upper + s * lower, 0)
+    found = jnp.where(above & within, (1 - s) * upper + s * lower, 0)
+    return unknown_at_nan(found, direction)
 
 
 def _angles(w: Vec, system: System) -> tuple[Scalar, Scalar]:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
 from ..core._loops.groups import fold
-from ..core._numerics import dot
+from ..core._numerics import dot, unknown_at_nan
 from ..core._types import Colour, Scalar, common_dtype
 from ..core._vector import Direction, Vector
 from ..geometry import Ray
@@ -124,7 +124,7 @@ def radiance_along(light: Light, ray: Ray) -> Seen:
         >>> print(light.distance, light.radiance)
         3.0 [5.]
     """
-    return extended_kind(light).seen(light, ray)
+    return unknown_at_nan(extended_kind(light).seen(light, ray), ray)
 
 
 def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
@@ -153,7 +153,8 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
         return Seen(jnp.minimum(ahead.distance, before.distance), radiance)
 
     nothing = Seen(jnp.full_like(ray.origin.x, jnp.inf), jnp.zeros_like(ray.origin.x))
-    return fold(nearer, nothing, [light for light in lights if can_be_seen(light)])
+    found = fold(nearer, nothing, [light for light in lights if can_be_seen(light)])
+    return unknown_at_nan(found, ray)
 
 
 @takes_numbers
@@ -176,7 +177,7 @@ def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
         >>> print(jv.lights.radiance_from(lamp, [0, 0, 0], [0, 0, 1]))  # W m^-2 sr^-1, straight up
         [5.]
     """
-    return extended_kind(light).seen(light, Ray(point, wi)).radiance
+    return radiance_along(light, Ray(point, wi)).radiance
 
 
 @takes_numbers
@@ -224,4 +225,4 @@ def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
         >>> print(f"{4 * np.pi * density:.3f}")
         1.000
     """
-    return extended_kind(light).pdf(light, point, wi)
+    return unknown_at_nan(extended_kind(light).pdf(light, point, wi), (point, wi))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
-from ..core._numerics import dot, norm, normalize, reciprocal
+from ..core._numerics import dot, norm, normalize, reciprocal, unknown_at_nan
 from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields, is_known
 from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
@@ -181,7 +181,8 @@ def refocus(
         return light_field_radiance(light_field, Ray(start - as_array(direction), direction))
 
     radiance = jax.vmap(through)(jnp.asarray(nodes, dtype))
-    return (jnp.asarray(weights, dtype)[:, None] * radiance).sum(axis=0)
+    mean = (jnp.asarray(weights, dtype)[:, None] * radiance).sum(axis=0)
+    return unknown_at_nan(mean, target)
 
 
 def _inward(aperture: Window, start: Float[Array, "3"], target: Float[Array, "3"]) -> Vec:

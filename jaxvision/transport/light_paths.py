@@ -196,7 +196,7 @@ def _light_path(world: World, ball: Ball | None, view: View, stream: Stream, dep
         pixel = jnp.where(within, row * width + column, height * width)
         onward = at.onward
         flux = flux * jnp.stack(onward.weight)
-        goes = ~(flux.max() <= 0)  # NaN goes on
+        goes = ~(flux <= 0).all()  # NaN goes on
         after = leave(met, ray, onward.direction, goes)
         absorption = absorption_after(world.surfaces, met, ray.direction, after, absorption)
         return (after, jnp.where(goes, flux, 0), absorption), (pixel, value)

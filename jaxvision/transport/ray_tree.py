@@ -147,7 +147,7 @@ def _follow_living(
 ) -> tuple[_Tree, Array]:
     """Trace one pending ray of each tree. Trees with pending rays are sorted to the front, so that
     the blocks behind them are skipped. `numbers` contains the original position of each tree."""
-    alive = (forest.weight > 0).any(axis=(1, 2))
+    alive = (~(forest.weight <= 0)).any(axis=(1, 2))  # NaN is followed
     order = jnp.argsort(~alive)
 
     def split_into_blocks(x: Array) -> Array:
@@ -202,7 +202,8 @@ def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
     """Trace the pending ray of largest weight, which is ray number `k` of the tree. Return the new
     tree."""
     slots, dtype = len(tree.weight), tree.weight.dtype
-    next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
+    known = jnp.nan_to_num(jax.lax.stop_gradient(tree.weight), nan=jnp.inf)  # NaN comes first
+    next_one = jnp.argmax(known.max(axis=1))
     ray = Ray(tree.origin[next_one], tree.direction[next_one])
     absorption = None if tree.absorption is None else tree.absorption[next_one]
     weight = tree.weight[next_one]
@@ -229,7 +230,7 @@ def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
         (jnp.minimum(k + 1, slots - 1), way.refracted, way.refracted_weight),
         (next_one, way.mirrored, way.mirrored_weight),
     ):
-        onward = leave(met, ray, direction, ~((weight * part).max() <= 0))
+        onward = leave(met, ray, direction, ~(weight * part <= 0).all())
         after = absorption_after(world.surfaces, met, ray.direction, onward, absorption)
         tree = _store(tree, slot, onward, weight * part, after)
     return tree

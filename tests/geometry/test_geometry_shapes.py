@@ -446,6 +446,10 @@ def test_shapes_that_rays_miss_or_meet_twice_are_named():
         ([hole], "1 of its 3 vertices are not finite"),
         ([Quad([0, 0, np.inf], [1, 0, 0], [0, 1, 0])], "Quad.corner holds a number that is not"),
         ([ball, hole, ball], "1 of its 3"),
+        (
+            [TriangleMesh(np.eye(3), [[0, 1, 2]], normals=np.full((3, 3), np.nan))],
+            "TriangleMesh.normals holds",
+        ),
         ([ball, Sphere([0, 0, 0], 2), Sphere([0, 0, 0], 1)], r"surfaces\[2\]: lies exactly where"),
         ([mesh, TriangleMesh(CUBE.vertices, CUBE.faces)], r"surfaces\[1\]: lies exactly where"),
     ):

@@ -145,3 +145,30 @@ def test_any_number_of_lamps_of_one_type_is_one_program():
         return sum(name not in moving for name in names)
 
     assert operations(60) < 1.05 * operations(20)
+
+
+@pytest.mark.slow
+def test_what_a_ray_at_nan_sees_is_unknown():
+    """Not darkness: of a lamp, of several, of a table of intensities and of a light field."""
+    lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
+    table = jv.GoniometricLight([0, 0, 2], [8.0], [[1.0], [0.0]], [0, np.pi / 2], [0.0])
+    near, far = (jv.Window([0, 0, z], [1, 0, 0], [0, 1, 0]) for z in (0, -1))
+    field = jv.LightFieldLight(jnp.array([0.0, 4.0]).reshape(1, 1, 2, 1, 1), near, far)
+
+    @jax.jit
+    def seen(x):
+        place, up = jnp.array([0, x, 0]), jnp.array([0, 0, 1.0])
+        ray = jv.Ray(place, up)
+        one, several = jv.lights.radiance_along(lamp, ray), jv.lights.nearest_seen([lamp], ray)
+        return jnp.stack(
+            [
+                *(one.distance, one.radiance[0], several.distance, several.radiance[0]),
+                jv.lights.radiance_from(lamp, place, up)[0],
+                jv.lights.direction_pdf(lamp, place, up),
+                jv.lights.relative_intensity(table, jnp.array([0, x, -1])),
+                jv.refocus(field, jnp.array([0.25, x, -1.0]))[0],
+            ]
+        )
+
+    assert np.isfinite(seen(0.1)).all()
+    assert np.isnan(seen(np.nan)).all()

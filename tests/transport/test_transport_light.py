@@ -375,6 +375,21 @@ def test_nan_in_the_scene_is_nan_in_the_picture_of_each_tracer():
 
 
 @pytest.mark.slow
+def test_glass_of_an_unknown_index_is_not_black():
+    """The maximum of XLA passes over NaN, from some thousand numbers on."""
+    floor = Surface(Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.2, 0.2]))
+    view = jv.Orthographic((0, 0, 2), np.diag([1, -1, -1]), 0.1, resolution=(2, 1))
+
+    @jax.jit
+    def picture(index):
+        ball = Surface(Sphere([0, 0, 0.5], 0.3), Glass(index))
+        return jv.ray_traced(Scene([floor, ball], [jv.PointLight((0, 3, 1), (9, 9))]), view, rays=6)
+
+    assert picture(1.5).min() > 0
+    assert np.isnan(picture(np.nan)).all()
+
+
+@pytest.mark.slow
 def test_light_tracing_through_a_lens_with_distortion():
     """A wall under a point light, seen through a barrel distortion, has its exact radiance."""
     k = -0.2
