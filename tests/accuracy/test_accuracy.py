@@ -255,7 +255,7 @@ def test_the_budget_is_kept_and_what_was_not_run_is_named():
     assert found.reference.how == "other seeds"
 
 
-def test_what_compiles_is_apart():
+def test_compilation_is_timed_separately():
     clock = Clock()
     problem, _ = quadrature(midpoint, clock=clock, compiling=2.0)
     found = curve(problem, N, clock=clock)

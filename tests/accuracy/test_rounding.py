@@ -163,7 +163,7 @@ def of_a_function(entry):
         (lambda x: x * x * 1e30 * 1e30, lambda x: (x * 1e30) ** 2, 1e-30),
     ],
 )
-def test_what_underflows_has_no_digits(lossy, fine, at):
+def test_an_underflowed_result_has_no_digits(lossy, fine, at):
     """A result that underflows to 0 in float32 (at 1e-38) but not in float64 (at 1e-308) has lost
     all digits. Added to a number of ordinary size, it loses nothing."""
     x = np.float32(at)

@@ -200,7 +200,7 @@ def all_bands(compiled, pruned, view):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_what_is_pruned_is_never_slower(name):
+def test_pruned_effects_are_never_slower(name):
     """Pruning makes a picture at most 3 % slower. Where nothing traced can be pruned, the program
     is the same."""
     scene, view = SCENES[name]()

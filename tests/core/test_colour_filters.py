@@ -46,7 +46,7 @@ def test_every_pixel_sees_the_band_of_its_place_in_the_tile(pattern):
         (((-1, 0), (0, 1)), "without a gap"),
     ],
 )
-def test_what_does_not_tile_is_refused(pattern, message):
+def test_patterns_that_do_not_tile_are_refused(pattern, message):
     with pytest.raises(ValueError, match=message):
         check_pattern(pattern)
     with pytest.raises(ValueError, match=r"Demosaicing\.pattern must"):

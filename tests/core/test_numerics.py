@@ -67,7 +67,7 @@ def test_angles(dtype, angle):
 
 
 @both_precisions
-def test_divide_where_there_is_a_quotient(dtype):
+def test_divide_gives_the_default_without_a_quotient(dtype):
     a, b = jnp.asarray([3, 1, 2, jnp.nan], dtype), jnp.asarray([4, 0, -2, 5], dtype)
     default, chosen = num.divide(a, b), num.divide(a, b, b != 0, jnp.inf)
     assert default.dtype == chosen.dtype == dtype

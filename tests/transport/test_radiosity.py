@@ -71,7 +71,7 @@ SHAPES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_patches_cover_their_shape(name):
-    """The areas of the patches sum to that of the shape; those of polygons stay below a curve's."""
+    """The areas of the patches sum to the area of the shape, or to less where it is curved."""
     shape, area, missing = SHAPES[name]
     scene = jv.Scene([jv.Surface(shape, GREY)], [])
     plan = plan_patches(scene, size=0.5, split=2, graded=True)
