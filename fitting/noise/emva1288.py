@@ -100,22 +100,26 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
     signal = signal_of(measurement)
     saturated = measurement.saturated
     top = saturated if saturated is not None else int(linear_levels(measurement)[-1])
-    below = np.arange(len(signal)) <= top
-    low, high = LINEARITY_RANGE
     light, width = None, None
     if saturated is not None:
         lights = np.asarray(bright.light)
         neighbours = lights[max(saturated - 1, 0)], lights[min(saturated + 1, len(lights) - 1)]
         light, width = jnp.asarray(lights[saturated]), jnp.asarray(neighbours[1] - neighbours[0])
     return Ranges(
-        sensitivity=jnp.asarray(below & (signal <= SENSITIVITY_TOP * signal[top])),
-        linearity=jnp.asarray(
-            below & (signal >= low * signal[top]) & (signal <= high * signal[top])
-        ),
+        *used_levels(signal, top + 1, signal[top]),
         saturation=light,
         saturation_width=width,
         dark_exposures=len(np.unique(np.asarray(measurement.dark.exposure))),
     )
+
+
+def used_levels(
+    signal: Float[np.ndarray, " levels"], end: int, top: float
+) -> tuple[Bool[Array, " levels"], Bool[Array, " levels"]]:
+    """Return masks of the levels before `end` for slopes and for linearity; `top` saturates."""
+    below, (low, high) = np.arange(len(signal)) < end, LINEARITY_RANGE
+    linear = below & (signal >= low * top) & (signal <= high * top)
+    return jnp.asarray(below & (signal <= SENSITIVITY_TOP * top)), jnp.asarray(linear)
 
 
 def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statistics:
@@ -198,20 +202,26 @@ def derived_figures(
     if saturation is not None:
         electrons = efficiency * saturation
         snr = jnp.sqrt(electrons)
-        dynamic_range = electrons / threshold
-        figures |= {
+        figures |= dynamic_ranges(electrons, threshold) | {
             "saturation_photons": saturation,
             "saturation_electrons": electrons,
             "snr_max": snr,
             "snr_max_db": 20 * jnp.log10(snr),
             "snr_max_bits": jnp.log2(snr),
-            "dynamic_range": dynamic_range,
-            "dynamic_range_db": 20 * jnp.log10(dynamic_range),
-            "usable_bits": jnp.log2(dynamic_range),
         }
     if not photons_known:
         figures = {name: x for name, x in figures.items() if name not in NEED_PHOTONS}
     return figures
+
+
+def dynamic_ranges(saturation: Array, threshold: Array) -> Sheet:
+    """Return the dynamic range between two numbers of electrons, also in decibels and in bits."""
+    ratio = saturation / threshold
+    return {
+        "dynamic_range": ratio,
+        "dynamic_range_db": 20 * jnp.log10(ratio),
+        "usable_bits": jnp.log2(ratio),
+    }
 
 
 def linearity_errors(
@@ -290,9 +300,8 @@ def _sampling(
 ) -> tuple[SamplingErrors, SamplingErrors, Float[Array, "4"]]:
     """Return the sampling errors of bright and dark levels, and the factors in them."""
     shot = _shot_variance(stats, measurement)
-    bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
-    unlit = jnp.zeros_like(stats.dark_mean)
-    dark = sampling_errors(measurement.dark, unlit, gain, shared=shared)
+    bright = sampling_errors(measurement.bright, shot_variance=shot, gain=gain, shared=shared)
+    dark = sampling_errors(measurement.dark, shared=shared)
 
     def factor(chi2: Array, degrees: Array) -> Array:
         unlikely = surprise(chi2, degrees) < UNLIKELY

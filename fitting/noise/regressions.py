@@ -79,7 +79,11 @@ class SamplingErrors(eqx.Module):
 
 
 def sampling_errors(
-    levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
+    levels: Levels,
+    *,
+    shot_variance: Array | float = 0.0,
+    gain: Array | float = 0.0,
+    shared: SharedNoise | None = None,
 ) -> SamplingErrors:
     """Return the sampling errors of mean and temporal variance over pixels and frames."""
     shot = jnp.maximum(shot_variance, 0)

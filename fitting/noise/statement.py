@@ -376,12 +376,7 @@ def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
 def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
     """Return the effects of darks that scatter about their line beyond known noise."""
     dark = measurement.dark
-    errors = sampling_errors(
-        dark,
-        jnp.zeros_like(dark.mean),
-        jnp.ones_like(dark.pixels),
-        shared=shared_noise(dark),
-    )
+    errors = sampling_errors(dark, shared=shared_noise(dark))
     found = []
     for effect, values, variances in (
         (BLACK_SCATTER, dark.mean, errors.mean),

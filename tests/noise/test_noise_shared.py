@@ -3,7 +3,6 @@ named."""
 
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from noise_findings import told
@@ -136,7 +135,7 @@ def test_errors_of_a_level_include_shared_noise():
         kept.append((variance, average.mean(), *lines))
     variance, mean, *lines = np.array(kept).T
     levels = levels_sharing(shared_variance(np.array(lines), (H, W)), variance, FRAMES)
-    errors = sampling_errors(levels, np.zeros(400), jnp.asarray(1.0), shared=shared_noise(levels))
+    errors = sampling_errors(levels, shared=shared_noise(levels))
     # The scatter of 400 has a relative error of 3.5 %; the limit is four of them.
     for found, claimed in ((mean, errors.mean), (variance, errors.variance)):
         assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14

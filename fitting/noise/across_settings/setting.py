@@ -17,7 +17,6 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -110,8 +109,7 @@ def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
             f"The darks of {setting.label} have no flats and fewer than {FEWEST_EXPOSURES} "
             "different exposures, which determine nothing; add flats, or other exposures."
         )
-    nothing = jnp.zeros_like(darks.mean)
-    errors = sampling_errors(darks, nothing, nothing, shared=shared_noise(darks))
+    errors = sampling_errors(darks, shared=shared_noise(darks))
     (rate, _), means = _line(exposure, mean, np.asarray(errors.mean))
     (slope, intercept), variances = _line(exposure, variance, np.asarray(errors.variance))
     covariance = np.zeros((3, 3))

@@ -18,7 +18,6 @@ Intervals come from random draws of means and variances with their sampling erro
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -132,8 +131,7 @@ def _draw_moments(
     levels: Levels, shared: SharedNoise | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw (draws, levels) means and variances; the first row is the measured one."""
-    nothing = jnp.zeros_like(levels.mean)
-    errors = sampling_errors(levels, nothing, jnp.asarray(0.0), shared=shared)
+    errors = sampling_errors(levels, shared=shared)
     found = []
     for value, error in ((levels.mean, errors.mean), (levels.variance, errors.variance)):
         steps = rng.standard_normal((DRAWS + 1, value.size))

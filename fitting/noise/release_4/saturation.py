@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from .. import emva1288
-from ..emva1288 import LINEARITY_RANGE, SENSITIVITY_TOP, Ranges
+from ..emva1288 import Ranges
 from ..levels import PhotonTransfer, signal_of
 
 SHARES = np.array([0.001, 0.0015, 0.002])
@@ -62,12 +62,11 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
     place = (light - lights[above - 1]) / max(lights[above] - lights[above - 1], 1e-300)
     signal = signal_of(measurement)
     top = signal[above - 1] + place * (signal[above] - signal[above - 1])
-    below = np.arange(len(signal)) < above
-    least, most = LINEARITY_RANGE
+    sensitivity, linearity = emva1288.used_levels(signal, above, top)
     found = replace(
         within,
-        sensitivity=jnp.asarray(below & (signal <= SENSITIVITY_TOP * top)),
-        linearity=jnp.asarray(below & (signal >= least * top) & (signal <= most * top)),
+        sensitivity=sensitivity,
+        linearity=linearity,
         saturation=jnp.asarray(float(light)),
         saturation_width=jnp.asarray(WIDTH_OF_ERROR * float(error)),
     )

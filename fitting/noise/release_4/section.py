@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -206,11 +205,7 @@ def _noise_of_linearity(sheet: Release4) -> str:
     """Return a sentence on the linearity error that noise alone would give."""
     measurement = sheet.stacks.measurement
     bright, dark = measurement.bright, measurement.dark
-    gain = jnp.asarray(0.0)
-    of_bright, of_dark = (
-        np.asarray(sampling_errors(one, jnp.zeros_like(one.mean), gain).mean)
-        for one in (bright, dark)
-    )
+    of_bright, of_dark = (np.asarray(sampling_errors(one).mean) for one in (bright, dark))
     own = np.asarray(measurement.dark_of)
     within = np.asarray(sheet.within.linearity)
     signal = signal_of(measurement)[within]

@@ -27,7 +27,6 @@ from ...report.notebook import ShownInNotebooks
 from .. import emva1288
 from ..emva1288 import Evaluation, Ranges, Sheet, Statistics, evaluate, linearity_deviation
 from ..levels import PhotonTransfer
-from ..quantities import NEED_PHOTONS
 from ..shared import shared_noise
 from .general import General, general
 from .nonuniformity import Loss, Split, can_filter, high_pass, loss_of_filter, simulate, split
@@ -93,12 +92,7 @@ def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> S
     if "quantum_efficiency" in found:
         changed["threshold_photons"] = threshold / (found["quantum_efficiency"] / 100)
     if "saturation_electrons" in found:
-        dynamic_range = found["saturation_electrons"] / threshold
-        changed |= {
-            "dynamic_range": dynamic_range,
-            "dynamic_range_db": 20 * jnp.log10(dynamic_range),
-            "usable_bits": jnp.log2(dynamic_range),
-        }
+        changed |= emva1288.dynamic_ranges(found["saturation_electrons"], threshold)
     signal = stats.bright_mean - stats.dark_mean[measurement.dark_of]
     off = linearity_deviation(measurement.bright.light, signal, within.linearity)
     count = jnp.sum(within.linearity, dtype=signal.dtype)
@@ -107,8 +101,6 @@ def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> S
     ) / jnp.maximum(count, 1)
     for name in ("linearity_error_min", "linearity_error_max"):
         del found[name]
-    if not measurement.photons_known:
-        changed = {name: x for name, x in changed.items() if name not in NEED_PHOTONS}
     return found | changed
 
 
