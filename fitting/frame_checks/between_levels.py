@@ -177,7 +177,7 @@ def _unsaturated_levels(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """Return terms of the signal per light: constant, curve and offset by light."""
+    """Return terms of the signal per light: a constant, a curve, and an offset divided by light."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)

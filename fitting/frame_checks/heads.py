@@ -52,7 +52,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFram
 
 
 def different_settings(paths: Sequence[Path]) -> str:
-    """Return exposures and gains that differ between files by metadata; "" for none."""
+    """Name exposures and gains that differ between files according to metadata; "" for none."""
     said, words = [_settings(path) for path in paths], []
     exposure: tuple[str, Callable[[Any], str]] = ("exposure", lambda t: f"exposure {t:.4g} s")
     for key, in_words in (exposure, *_UNIFORM, _OF_A_GROUP[1]):
@@ -122,7 +122,7 @@ def _minority(
 def _compare_exposures(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return frames of exposures unlike the rig's, up to a common factor, and remarks."""
+    """Return frames whose exposures differ from the rig's, up to a common factor, and remarks."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

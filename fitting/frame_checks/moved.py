@@ -59,14 +59,14 @@ def moved_frames(levels: ComparedLevels) -> None:
 
 
 def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
-    """Return the groups' difference of means without flicker bands, of norm 1."""
+    """Return the difference between the means of two groups without flicker bands, of norm 1."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
     field = subtract_line_means((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 
 def _group_frames(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
-    """Group frames that differ by noise alone; return groups, variance across over within."""
+    """Group frames that differ by noise alone; return groups, and variance across over within."""
     if len(samples) == 2:
         return [[0], [1]], np.nan
     variances = {

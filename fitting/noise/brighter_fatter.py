@@ -72,7 +72,7 @@ def fitted_area_changes(
 def _fit_area_changes(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
-    """Fit the a_ij, and with `mixing` terms in mu, at fixed a_00; return a_ij and errors."""
+    """Fit the a_ij at fixed a_00, with `mixing` also terms in mu; return a_ij and errors."""
     size = (LARGEST_LAG + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 

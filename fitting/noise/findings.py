@@ -316,7 +316,7 @@ def _black_of_darks(calibration: NoiseCalibration) -> Numbers | None:
 
 
 def _noise_of_darks(differs: bool, calibration: NoiseCalibration) -> Numbers | None:
-    """Return the noise of darks that `differs` from the flats', or that these hardly test."""
+    """Return the noise of darks if it `differs` from that of flats, or if flats hardly test it."""
     found = _dark_noises(calibration.measurement, calibration.usable)
     if found is None or found["differ"] != differs:
         return None
@@ -568,7 +568,7 @@ def _bounds_alone(calibration: NoiseCalibration) -> bool:
 
 
 def _significant(rows_and_columns: Iterable[Found]) -> Iterable[tuple[str, Found]]:
-    """Yield the significant ones of the noises or differences of rows and of columns, by name."""
+    """Yield, by name, the significant noises or differences of rows and of columns."""
     named = zip(LINES, rows_and_columns, strict=True)
     return ((name, one) for name, one in named if one.is_significant)
 

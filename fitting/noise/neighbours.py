@@ -154,7 +154,7 @@ def own_variance(
 
 
 def area_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """Return the ratios a_ij / a_00 by the covariances; over all pixels they sum to 0."""
+    """Return the ratios a_ij / a_00 from the covariances; over all pixels they sum to 0."""
     shape = -shares(measurement, usable, power=2)
     shape[0, 0] = 1
     return shape

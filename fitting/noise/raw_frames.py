@@ -43,7 +43,7 @@ GROWS = 0.7  # share of the noise above black that must be proportional to the s
 def block_products(
     deviation: Float[np.ndarray, "h w"], live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Return mean products of neighbours below (beside), by row (column) modulo 8."""
+    """Return mean products of pixels with those below (or beside), by row (or column) modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         lines = zip(found, line_products(deviation), live.pairs_by_line, strict=True)

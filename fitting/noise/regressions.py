@@ -52,7 +52,7 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Return chi-square about a weighted line (a mean if all x are equal), and degrees."""
+    """Return chi-square about a weighted line (mean if all x are equal), and degrees of freedom."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)
@@ -121,7 +121,8 @@ class Fitted(NamedTuple):
 
     @property
     def errors(self) -> Float[np.ndarray, " terms"]:
-        """Standard errors of the coefficients, enlarged if the data scatter by more than theirs."""
+        """Standard errors of the coefficients, enlarged if the data scatter more than their
+        errors."""
         return np.sqrt(np.diagonal(self.covariance) * max(self.misfit, 1.0))
 
 

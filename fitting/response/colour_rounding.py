@@ -33,7 +33,7 @@ MOST_PIXELS = 1 << 19  # pixels examined
 def shared_rounding(
     codes: Sequence[UInt16[np.ndarray, "exposures h w"]], colour: str, clip: float
 ) -> Float[np.ndarray, "256"] | None:
-    """Return each code's error that its pixels share, DN rms; None if never JPEG."""
+    """Return the error that all pixels of a code share, DN rms; None if they were never JPEG."""
     if max(int(one.max()) for one in codes) > 255:
         return None
     every = max(1, codes[0].size // MOST_PIXELS)

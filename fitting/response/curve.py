@@ -154,7 +154,7 @@ class ResponseCurve:
 
     @property
     def pixel_noise(self) -> Float[np.ndarray, " bins"]:
-        """Standard deviation of a single pixel's log exposure at each code, by noise."""
+        """Standard deviation of a single pixel's log exposure at each code, due to noise."""
         return np.sqrt(noise_variance(self.noise, self.log_exposure))
 
     @property
@@ -167,7 +167,7 @@ class ResponseCurve:
 
 
 def slope_error(noise: NoiseModel) -> float:
-    """Return the relative error of a curve's slope by variance of unknown cause."""
+    """Return the relative error of a curve's slope due to variance of unknown cause."""
     return SLOPE_ERROR * noise.relative
 
 

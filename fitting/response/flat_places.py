@@ -85,7 +85,7 @@ def correct_to_flat_places(
 
 
 def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
-    """Return the activity's deviation among observations of a code, median over codes."""
+    """Return the standard deviation of activity among observations of a code, median over codes."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2

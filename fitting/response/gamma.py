@@ -306,7 +306,7 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
 def _omitted_variance(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Return gamma's variance by black, slope, and reweighting beyond its error."""
+    """Return gamma's variance from errors of black and slope, and excess change by reweighting."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)

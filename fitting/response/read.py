@@ -278,7 +278,7 @@ def _drop_odd_images(
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:
-    """Return step and origin of the grid of all codes; 1 and 0 without one."""
+    """Return step and origin of the grid of all codes; 1 and 0 if there is no grid."""
     step = round(converter.step)
     even = converter.even and step > 1 and step == converter.step
     return (step, round(converter.origin)) if even else (1, 0)
@@ -386,7 +386,7 @@ def _planes(
 def floor_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Estimate black from dark pixels that stay as the exposure grows eightfold; else 0."""
+    """Estimate black from dark pixels that stay constant while exposure grows eightfold; else 0."""
     longer = np.flatnonzero(exposures >= LEAST_EXPOSURE_RATIO * exposures[0])
     if not len(longer):
         return 0.0
@@ -432,7 +432,7 @@ def _find_overlays(
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Estimate the clip level from bright pixels that stay as the exposure grows."""
+    """Estimate the clip level from bright pixels that stay constant as the exposure grows."""
     shorter = np.flatnonzero(exposures * LEAST_RATIO <= exposures[-1])
     if not len(shorter):
         return float(camera.full_scale)

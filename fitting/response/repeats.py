@@ -178,7 +178,7 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
 def _usual_errors(
     missed: Float[np.ndarray, " pixels"], predicted: Float[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Return the median error of pixels of equal prediction, at least that of all, DN."""
+    """Return the median error of pixels of similar prediction, DN; at least the median of all."""
     usual = np.empty(len(missed))
     for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS):
         usual[group] = np.median(missed[group])
@@ -193,7 +193,7 @@ def _prediction_error(
     coarse: CodeBins,
     pilot: Pilot,
 ) -> tuple[float, float]:
-    """Return exposure j's rms prediction error, DN, and the share of far pixels."""
+    """Return exposure j's rms prediction error, DN, and the share of pixels with large errors."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule

@@ -192,7 +192,7 @@ def solve(
 def _shift_by_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """Return the best gamma's change for black lower by its deviation; 0 if exact."""
+    """Return the change of the best gamma curve if black is lower by its error; 0 if exact."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0

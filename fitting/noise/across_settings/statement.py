@@ -370,7 +370,7 @@ def _nearest_with_flats(
 
 @eqx.filter_jit
 def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """Return residuals, their derivatives by parameters and by deviations, and dark current."""
+    """Return residuals, derivatives with respect to parameters and deviations, and dark current."""
 
     def residuals(vector: Array, deviations: Array) -> Array:
         values = values_at(problem, vector) | {"deviations": deviations}

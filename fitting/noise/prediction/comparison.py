@@ -75,7 +75,8 @@ class Agreement:
 
     @property
     def is_missed(self) -> bool:
-        """Whether chi-square per degree of freedom is off by over a tenth, significantly."""
+        """Whether chi-square per degree of freedom differs from 1 significantly and by over a
+        tenth."""
         return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < FALSE_ALARM_PROBABILITY
 
 
@@ -227,7 +228,7 @@ def _predict(
 ) -> tuple[
     Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
 ]:
-    """Return predictions by best estimate and draws, and the covariance by offsets."""
+    """Return predictions by best estimate and draws, and the covariance due to offsets."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = np.asarray(expected(every, lit, neighbours=neighbours))
     values = of_every[0].copy()

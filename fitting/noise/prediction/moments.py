@@ -230,7 +230,7 @@ def clipped(
     the covariance between mean and variance over these offsets. The parts of a pixel's mean and
     variance that are linear or quadratic in its offset do not contribute to this covariance.
     Divided by the number of pixels, it is the sampling covariance of averages over all pixels,
-    between sensors with equal mean and spread of the offsets. Codes below `lowest` became
+    between sensors with equal mean and spread of the offsets. Codes below `lowest` are set to
     `lowest`."""
     spread = number_of(sensor, "gain", absent=1.0) * rms_of(sensor, OFFSETS)
     count = 2 ** int(np.ceil(np.log2(np.clip(2 * REACHED * spread / FINE, 1, MOST))))
