@@ -23,6 +23,13 @@ EVEN = 0.4  # largest interquartile range of the blocks' noise in even light; .2
 SURE = 4.0  # standard errors of the noise in even light
 UNSURE_PATTERN = 0.1  # relative error of the variance of a stated pattern
 SIGMAS = 5.0
+CELL, BLOCKS, FEWEST_ALONG = 6, 32, 10  # of a flat: pixels and blocks along its shorter side
+DARKEST = 0.1  # of a flat's median, below which its pixels are not compared
+UNEVEN = 0.02  # relative size of a block's structure, above which it is not that of even light
+OF_A_SCENE = 0.1  # share of such blocks
+FOURTH = (1.0, -4.0, 6.0, -4.0, 1.0)  # differences, without smooth light
+ROUGH = 1.5  # standard deviation of a master's pixels, relative to the stated one
+UNEQUAL_SITES = 0.1  # log ratio of the sites of a mosaic
 
 Plane = Float[np.ndarray, "h w"]
 
@@ -113,6 +120,67 @@ def looks_without_black(
     without = noise + black + offsets + gains * (1 + black / light) ** 2
     excess = measured - noise - offsets - gains
     return excess > SURE * error and abs(measured - without) < min(3 * error, excess / 2)
+
+
+def structured_share(flat: Plane, light: float) -> float:
+    """Return the share of a flat's blocks with structure, from their fourth differences: a lens and
+    uneven light vary smoothly, a scene does not. Blocks with a pixel below `light` are left out."""
+    side = CELL * max(round(min(flat.shape) / (CELL * BLOCKS)), 1)
+    rows, columns = (size // side for size in flat.shape)
+    if min(rows, columns) < FEWEST_ALONG:
+        return 0.0
+    cut = flat[: rows * side, : columns * side]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cut = np.where(cut > light, cut, np.nan)
+        blocks = cut.reshape(rows, side, columns, side).transpose(0, 2, 1, 3)
+        blocks = np.log(blocks.reshape(rows, columns, -1).mean(axis=-1))
+    found = []
+    for plane in (blocks, blocks.T):
+        parts = [w * plane[i : len(plane) - 4 + i] for i, w in enumerate(FOURTH)]
+        along = np.sum(parts, axis=0)
+        known = np.abs(along[np.isfinite(along)]) / np.sum(np.square(FOURTH)) ** 0.5
+        found.append(float(np.mean(known > UNEVEN)) if known.size else 0.0)
+    return max(found)
+
+
+def roughness(master: Plane, variance: Plane) -> float:
+    """Return the standard deviation of a master's fourth differences relative to that of a stated
+    variance of its pixels, by medians: hot pixels and edges are few."""
+    if min(master.shape) < BLOCK + 8:
+        return 1.0
+    apart = np.abs(np.ravel(_sum_along_axes(master, FOURTH)))
+    stated = np.ravel(_sum_along_axes(variance, tuple(np.square(FOURTH))))
+    known = np.isfinite(apart) & np.isfinite(stated) & (stated > 0)
+    if np.count_nonzero(known) < FEWEST_PAIRS:
+        return 1.0
+    return float(np.median(apart[known] / np.sqrt(stated[known]))) / 0.6745
+
+
+def sites(plane: Plane) -> Float[np.ndarray, "4"]:
+    """Return the logarithms of the medians of the four sites of 2 x 2 cells, about their mean."""
+    cells = [np.nanmedian(plane[i::2, j::2]) for i in (0, 1) for j in (0, 1)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.log(cells)
+    return logs - logs.mean()
+
+
+def other_sites(frame: Plane, flat: Plane) -> bool:
+    """Return whether a flat shows a mosaic that the frame lacks, or has in another phase: its equal
+    sites, the greens, differ in the frame, and the two others do not."""
+    own, wanted = sites(frame), sites(flat)
+    if not np.isfinite([own, wanted]).all() or np.abs(wanted).max() < UNEQUAL_SITES:
+        return False
+    pairs = ((0, 3), (1, 2))
+
+    def apart(of: Float[np.ndarray, "4"]) -> list[float]:
+        return [abs(float(of[i] - of[j])) for i, j in pairs]
+
+    in_flat, in_frame = apart(wanted), apart(own)
+    if np.abs(own).max() < np.abs(wanted).max() / 10:
+        return True
+    greens = int(np.argmin(in_flat))
+    clear = in_flat[greens] < max(in_flat) / 4 and in_frame[1 - greens] < in_frame[greens] / 4
+    return clear and in_frame[greens] > UNEQUAL_SITES
 
 
 def lacks(frame: Plane, pattern: Plane, noise: Plane, weight: Plane) -> str | None:

@@ -472,6 +472,8 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
                 "the stated errors are those of a single raw frame."
             )
     dark = _processed.middle(jnp.broadcast_to(of_dark, raw.shape[-3:]))
+    for words in _doubts_of_masters(sensor, found, masters, codes):
+        _warn(words)
     own = [part for part in found.parts if not part.lasts and part.along == "pixels"]
     if own and top > 1:
         light = _processed.middle(found.image)
@@ -518,6 +520,54 @@ def _warn_of_raw(sensor: Sensor, found: Calibrated, raw: Counts, masters: Master
             _warn(
                 f"raw lacks the pattern of masters.{name}{lacking}{why}; give raw frames, and "
                 "masters of the same pixels."
+            )
+
+
+def _doubts_of_masters(
+    sensor: Sensor, found: Calibrated, masters: Masters, codes: np.ndarray
+) -> Iterator[str]:
+    """Yield a sentence if a flat is a picture of a scene or of another mosaic, or if a master has
+    more noise than that of its stated number of frames."""
+    black, temporal, pattern = _dark_signal(sensor, found.image)
+    black = black if masters.dark is None else masters.dark.mean
+    shape = found.image.shape[-3:]
+    black, temporal, pattern = (
+        np.broadcast_to(np.asarray(one, float), shape) for one in (black, temporal, pattern)
+    )
+    variances = {"dark": (pattern, temporal)}
+    if masters.flat is not None:
+        flat = np.asarray(masters.flat.mean, float) - black
+        light = _processed.DARKEST * float(np.median(flat[..., 0]))
+        share = _processed.structured_share(flat[..., 0], light)
+        if share > _processed.OF_A_SCENE:
+            yield (
+                f"masters.flat varies between neighbouring blocks of pixels in {share:.0%} of the "
+                "frame, as a picture of a scene does: its structure is divided out of the result; "
+                "give a mean of frames of an evenly lit white field."
+            )
+        shown = _processed.middle(flat)
+        if shape[-1] == 1 and _processed.other_sites(codes - _processed.middle(black), shown):
+            yield (
+                "masters.flat has a pattern of 2 x 2 pixels, as of a colour mosaic, that raw lacks "
+                "or has in another phase; give masters of the same pixels of the same camera."
+            )
+        gains = (sensor.prnu, sensor.conversion_prnu, sensor.column_prnu)
+        relative = sum(float(np.max(one)) ** 2 for one in gains if one is not None)
+        gain = 1.0 if sensor.gain is None else float(jnp.max(sensor.gain))
+        shot = 0.0 if sensor.shot_noise is None else gain * np.maximum(flat, 0)
+        if relative and share <= _processed.OF_A_SCENE:
+            variances["flat"] = pattern + relative * flat**2, temporal + shot
+    for name, (lasting, own) in variances.items():
+        master = getattr(masters, name)
+        if master is None or not np.any(lasting > 0):
+            continue
+        stated = _processed.middle(lasting + own / float(master.frames))
+        rough = _processed.roughness(_processed.middle(master.mean), stated)
+        if rough > _processed.ROUGH:
+            yield (
+                f"neighbouring pixels of masters.{name} differ {rough:.2g} times as much as the "
+                f"camera states for a mean of {float(master.frames):g} frames: fewer frames were "
+                "averaged, the master has fewer bits, or it is of another camera."
             )
 
 

@@ -544,6 +544,34 @@ def test_mirrored_frames_cause_a_warning():
     assert "mirrored" not in told_of(np.roll(frame(), (8, 8), (0, 1)), masters=masters)
 
 
+def test_masters_of_a_scene_another_mosaic_or_fewer_frames_are_warned_of():
+    """A mean of frames of the scene as flat left no structure in the result, without a word."""
+    rng, shape = np.random.default_rng(0), (96, 96)
+    gains, offsets = 1 + 0.01 * rng.normal(size=shape), 2 * rng.normal(size=shape)
+    rows, columns = np.mgrid[:96, :96] - 47.5
+    fall_off = 1 / (1 + 0.3 * (rows**2 + columns**2) / 48**2) ** 2
+
+    def frames(electrons, count=32):
+        charge = rng.poisson(electrons * gains + 2.0, (count, *shape)) + offsets
+        codes = np.round(0.4 * (charge + 5 * rng.normal(size=charge.shape)) + 64)
+        return codes.mean(0)[..., None]
+
+    colours = np.tile([[0.5, 1.0], [1.0, 0.35]], (48, 48))
+    scene = fall_off * np.kron(rng.uniform(200, 5000, (8, 8)), np.ones((12, 12)))
+    dark, white = js.Master(frames(0 * rows), 32), 4000 * fall_off
+
+    def told(raw, flat, count=32):
+        masters = js.Masters(dark=dark, flat=js.Master(flat, count))
+        return told_of(raw[..., 0], masters=masters)
+
+    raw, mosaic = frames(scene, 1), frames(scene * colours, 1)
+    assert told(raw, frames(white)) == told(mosaic, frames(white * colours)) == ""
+    assert "as a picture of a scene" in told(raw, frames(scene))
+    for wrong in (raw, np.roll(mosaic, 1, 1)):
+        assert "as of a colour mosaic, that raw lacks or" in told(wrong, frames(white * colours))
+    assert re.search(r"masters.flat differ [12]\S* times", told(raw, frames(white, 1)))
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(12))
 def test_raw_frames_of_cameras_cause_no_warning(seed):
