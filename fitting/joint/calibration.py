@@ -167,7 +167,8 @@ def _recognise_pixel_means(observation: Photographs, fit: JointFit) -> Photograp
     seen = fit_of_surface(fit) if fit.grid.observation.within is not None else None
     if seen is None or not has_lobe(fit.form.model):
         return observation
-    return recognise_points(observation, seen.vector, seen.samples, seen.selection.light)
+    view = View(observation, fit.grid.channel, seen.selection)
+    return recognise_points(observation, seen.vector, seen.samples, view=view, form=fit.form)
 
 
 def fit_of_surface(fit: JointFit) -> AtOptimum | None:

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.sphere_photographs import shade, sphere_normals
 
 from fitting import joint, reflectance
+from fitting.checks.reflectance import directions
+from fitting.inference.estimates import find
 from fitting.inference.posterior import estimates
 from fitting.reflectance.from_images.pixel_area import recognise_points
 from fitting.reflectance.from_images.read import POINTS
@@ -106,7 +109,8 @@ def test_shot_noise_that_hides_the_type_of_pixels_is_reported(parts, gain, words
     samples = View(seen, 0, chosen).samples(Form("phong"))
     vector = np.log([*TRUTH.values()])
     deviation = np.sqrt(gain * np.maximum(predict(vector, samples).signal, 1) + 1 / 12)
-    found = recognise_points(seen, vector, replace(samples, deviation=deviation), chosen.light)
+    view, samples = View(seen, 0, chosen), replace(samples, deviation=deviation)
+    found = recognise_points(seen, vector, samples, view=view, form=Form("phong"))
     assert (found.within is None) == ("points" in words)
     assert words in " ".join(found.findings)
     assert bool(words) == (found is not seen)
@@ -131,6 +135,23 @@ def test_highlights_of_a_few_pixels_have_the_right_width(top, parts):
             assert value is not None
             assert error is not None
             assert abs(value - true) < 3.5 * error, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponent", [30.0, 80.0])
+def test_points_of_a_coarse_ball_are_recognised(exponent):
+    """A ball of 14 pixels: as means, the exponent was 40 and 168."""
+    lights, size, radius = directions(8), 16, 7.0
+    linear = 3000 * shade(sphere_normals(size, radius), lights, "phong", 0.4, 0.45, exponent)
+    seen = observed(
+        exposed(np.random.default_rng(1), linear),
+        lights,
+        sphere=SphereGeometry(centre=((size - 1) / 2,) * 2, radius=radius),
+        intensities=np.full(len(lights), 3000.0),
+    )
+    found = find(reflectance.calibrate(seen, model="phong").section.estimates, "exponent")
+    low, high = found.interval_95
+    assert low < exponent < high < 1.15 * low
 
 
 @pytest.mark.slow

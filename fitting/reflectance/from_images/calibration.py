@@ -202,7 +202,9 @@ def calibrate(
         first = fit_models(observation, [brightest])
     if observation.within is not None:
         fit = max((of_model[0] for of_model in first.values()), key=lambda x: x.log_likelihood)
-        observation = recognise_points(observation, fit.vector, fit.samples, fitted.light)
+        observation = recognise_points(
+            observation, fit.vector, fit.samples, view=fit.view, form=fit.requested
+        )
         if observation.within is None:
             first = fit_models(observation, [brightest])
     fits: dict[Model, tuple[ChannelFit, ...]] = first
@@ -267,7 +269,7 @@ def encoded_fit(
     observation = replace(observation, findings=(*said, *observation.findings))
     if observation.within is not None:
         observation = recognise_points(
-            observation, trial.vector, trial.samples, view.selection.light
+            observation, trial.vector, trial.samples, view=view, form=trial.requested
         )
         if observation.within is None:
             trial = fit_channel(replace(view, observation=observation), trial.requested, cells)

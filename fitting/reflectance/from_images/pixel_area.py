@@ -14,12 +14,16 @@ import numpy as np
 from jaxtyping import Int
 
 from ...inference.parameters import names
+from ..models import has_lobe
+from .fit import fit_channel
 from .read import Photographs
-from .samples import Samples, predict
-from .signal import Vector, parameter_space
+from .samples import Samples, View, cells_of, predict
+from .signal import Form, Vector, parameter_space
 
 NEAR, FAR = 3.0, 3.5  # standard errors of a from 0 and from 1 for pixels that are points
 MOST = 0.5  # largest |a| of points; if no model describes the surface, a may have any value
+CLOSE = 2.0  # the same in a fit to points, from which sharpened pictures do not differ by much
+CURVED = 0.1  # relative change of a parameter, beyond which one step is far from the best a
 
 
 class AreaShare(NamedTuple):
@@ -38,13 +42,18 @@ class AreaShare(NamedTuple):
 
 
 def recognise_points(
-    observation: Photographs, vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]
+    observation: Photographs, vector: Vector, samples: Samples, *, view: View, form: Form
 ) -> Photographs:
     """Return the photographs. If the fit of one channel shows that pixels are points, they are
     treated as points. If the fit cannot decide and the difference matters, a finding says so. The
-    `samples` have the fit's deviations and means over pixels; `vector` is its optimum."""
-    share, error, _, moves = area_share(vector, samples, light)
-    if abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error:
+    `samples` have the fit's deviations and means over pixels; `vector` is its optimum. Where pixels
+    as points would move it far, both are fitted, in the view of its channel."""
+    share, error, _, moves = area_share(vector, samples, view.selection.light)
+    are_points = abs(share) < min(NEAR * error, MOST) and 1 - share > FAR * error
+    if 1 - share > FAR * error and max(map(abs, moves.values()), default=0.0) > CURVED:
+        share, error = _share_of_points(observation, view, form)
+        are_points = abs(share) < CLOSE * error and 1 - share > FAR * error
+    if are_points:
         sentence = (
             "The highlights show the surface at the middle of each pixel, as in many rendered "
             "pictures, not its mean over the pixel's area (the share of the mean is "
@@ -64,8 +73,26 @@ def recognise_points(
     return observation
 
 
-def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " samples"]) -> AreaShare:
-    """Return the estimate of a at the optimum `vector` of a fit to one channel."""
+def _share_of_points(observation: Photographs, view: View, form: Form) -> tuple[float, float]:
+    """Return a and its error, from a fit to pixels as points; 1 for a fit without a highlight."""
+    view = replace(view, observation=replace(observation, within=None))
+    fit = fit_channel(view, form, cells_of(observation, view.selection))
+    if not has_lobe(fit.samples.form.model):
+        return 1.0, 0.0
+    samples = replace(view, observation=observation).samples(fit.samples.form)
+    samples = replace(samples, deviation=fit.samples.deviation)
+    return area_share(fit.vector, samples, view.selection.light, of_points=True)[:2]
+
+
+def area_share(
+    vector: Vector,
+    samples: Samples,
+    light: Int[np.ndarray, " samples"],
+    *,
+    of_points: bool = False,
+) -> AreaShare:
+    """Return the estimate of a at the optimum `vector` of a fit to one channel, or, with
+    `of_points`, of a fit with pixels as points."""
     root = 1 / samples.deviation
     if samples.saturated is not None:
         root = np.where(samples.saturated, 0, root)
@@ -78,7 +105,8 @@ def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " sample
         scaled = dn * root
         return scaled - others @ (others.T @ scaled)
 
-    area, left = residual(exact.dn - middle.dn), residual(samples.dn - exact.dn)
+    fitted = middle if of_points else exact
+    area, left = residual(exact.dn - middle.dn), residual(samples.dn - fitted.dn)
     squares = np.bincount(light, area**2)
     if not squares.any():
         return AreaShare(1.0, np.inf, 0.0, {})
@@ -92,4 +120,5 @@ def area_share(vector: Vector, samples: Samples, light: Int[np.ndarray, " sample
     sure = np.abs(moves) > np.linalg.norm(inverse, axis=1) / 2
     known = names(parameter_space(samples.form))
     moved = {known[i]: float(np.expm1(moves[i])) for i in np.flatnonzero(sure)}
-    return AreaShare(float(1 + change), float(error), float(explained), moved)
+    share = float(change) if of_points else 1 + float(change)
+    return AreaShare(share, float(error), float(explained), moved)
