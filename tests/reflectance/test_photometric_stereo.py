@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from fitting.reflectance import photometric_stereo
+from fitting.reflectance.stereo.axes import axes_findings
 from jaxvision.errors import InputError
 
 RNG = np.random.default_rng(12)
@@ -549,6 +550,20 @@ def test_normals_that_are_not_a_surface_in_the_stated_axes_are_named(axes, viewe
     found = photometric_stereo(noisy, LIGHTS @ axes.T, intensities=E, viewer=(0, 0, viewer))
     told = " ".join(found.findings)
     assert (said in told) if said else ("surface" not in told and "away" not in told)
+
+
+def test_axes_that_noisy_normals_of_a_low_relief_contradict_are_named():
+    """A bump of slopes up to .3 with .7 degrees of noise: 16 % of the squares are a curl."""
+    rows, columns = np.mgrid[:40, :40] - 19.5
+    height = 6 * np.exp(-(rows**2 + columns**2) / 120)
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(height)], axis=-1)
+    normals += np.random.default_rng(0).normal(0, 0.014, normals.shape)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    viewer = np.array([0.0, 0.0, 1.0])
+    assert not axes_findings(normals, viewer)
+    (said,) = axes_findings(normals * [1, -1, 1], viewer)
+    assert "with x right and y down" in said
 
 
 @pytest.mark.slow
