@@ -36,6 +36,7 @@ from jaxvision import ArrayLike, colour_spaces
 from jaxvision.errors import InputError
 
 from .fits.bands import Bands, bands
+from .inference.diagnostics import listed
 from .inference.formatting import format_percent
 from .inference.given import plain_numbers, require_seed, require_whole
 from .inference.precision import double_precision
@@ -63,6 +64,7 @@ _FEWEST_EQUAL = 2  # equal largest readings that count as clipped; one more of w
 _COARSE = 0.05  # share of the largest reading: larger residuals are no noise of a photograph
 _NARROW = 0.2  # of the range of wavelengths, width of a band of light
 _SHIFTS = 1e-9 * np.arange(-25, 26)  # m, errors of the wavelengths of bands that are tried
+_SURE_OF_OFFSET = 3.5  # standard errors
 _SURE_OF_SHIFT = 4.0  # standard errors
 _CAUSES = (
     "Causes are uneven light, a gamma, a black level, stray light, clipped patches, or spectra "
@@ -336,6 +338,23 @@ def from_patches(
                 f"intervals allow for it. {_CAUSES}"
             )
     drawn = np.stack(found, axis=-1)
+    offsets = np.array([channel.offset() for channel in fits])
+    pull = abs(np.sum(offsets[:, 0] / offsets[:, 1])) / np.sqrt(len(names))
+    misfits = sum(_CAUSES in sentence for sentence in sentences)
+    if pull > _SURE_OF_OFFSET and misfits < len(names):
+        amounts = ", ".join(f"{100 * o:.2g} ± {100 * e:.1g}" for o, e in offsets)
+        sentences.append(
+            f"Without light the readings of {listed(list(names))} would be {amounts} % of the "
+            "largest, not 0. Causes are a black level, stray light or a gamma; intervals do not "
+            "allow for them."
+        )
+    peaks = dict(zip(names, at[np.argmax(drawn.mean(axis=0), axis=0)], strict=True))
+    red, blue = peaks.get("red", np.inf), peaks.get("blue", 0.0)
+    if red < blue:
+        sentences.append(
+            f"red is most sensitive at {1e9 * red:.0f} nm and blue at {1e9 * blue:.0f} nm: the "
+            "readings are in the order blue, green, red, or channels names them wrongly."
+        )
     narrow = _widths(spectra, at) < _NARROW * np.ptp(at)
     sentences += _shifted_in_words(fits, [narrow[np.isfinite(one)] for one in y.T], at, drawn)
     return Sensitivities(at, names, drawn, np.array(lengths), np.array(noises), tuple(sentences))
@@ -530,12 +549,22 @@ class _Channel:
         self, filters: Float[np.ndarray, "filters bands"]
     ) -> Float[np.ndarray, " filters"]:
         """Return the logarithm of the evidence of each filter, up to an additive constant."""
+        return self._log_density(self._covariance(filters))
+
+    def _covariance(self, filters: Float[np.ndarray, "filters bands"]) -> np.ndarray:
+        """Return the covariance of the readings behind each filter."""
         seen = self.light * filters[:, None, :]
         smooth = _matern(self.apart / np.exp(self.best[1]))[0]
         of_prior = seen @ smooth @ np.swapaxes(seen, 1, 2) + self.light @ self.fine @ self.light.T
         noise = np.diag(self.noise(self.best) ** 2)
-        covariance = np.exp(2 * self.best[0]) * of_prior + noise
-        return self._log_density(covariance)
+        return np.exp(2 * self.best[0]) * of_prior + noise
+
+    def offset(self) -> tuple[float, float]:
+        """Return what the readings would be without light, relative to the largest, and its
+        standard error, by generalised least squares."""
+        covariance = self._covariance(self.passed[None])[0]
+        ones = np.linalg.solve(covariance, np.ones(len(self.y)))
+        return float(ones @ self.y / ones.sum()), float(1 / np.sqrt(ones.sum()))
 
     def _log_density(self, covariance: np.ndarray) -> np.ndarray:
         """Return the logarithm of the Gaussian density of the readings, up to a constant."""

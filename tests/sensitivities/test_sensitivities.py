@@ -173,6 +173,18 @@ def test_clipped_readings_are_named():
         assert [one.split(",")[0] for one in told] == said
 
 
+def test_a_black_level_and_channels_in_another_order_are_named():
+    readings, _ = chart(camera(NAMES[0]), 0)
+    for seen, said in (
+        (readings, ""),
+        (readings + 0.02 * readings.max(), "Without light the readings of red, green and blue"),
+        (readings[:, ::-1], "the readings are in the order blue, green, red"),
+    ):
+        found = sensitivities.from_patches(seen, CHART * DAY, 1e-9 * NM, draws=20)
+        told = " ".join(found.findings)
+        assert said in told if said else "Without" not in told and "order blue" not in told
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
