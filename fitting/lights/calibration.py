@@ -54,6 +54,12 @@ UNLIKE = 4.0  # factor of an intensity from the median from which it is reported
 UNEVEN = 0.05  # of a highlight: difference of the ball's level from that of other images
 CONTRADICTED = 3.5  # standard deviations between two outlines from which they are reported
 FOCAL = 5000.0  # pixels, such as a lens of 25 mm and pixels of 5 micrometres
+CONVENTION = (
+    "x points right and y up in the images, as upright pictures show the scene, and z toward the "
+    "camera. A ball does not show whether all images are mirrored or upside down: the directions "
+    "then are, too."
+)
+LINEAR = " Intensities assume linear readings: a highlight does not show a gamma."
 SEEN_FROM = 0.5  # largest standard deviation of a position, relative to its distance
 
 
@@ -182,7 +188,8 @@ def calibrate(
             f"{2 * np.degrees(np.arctan(max(width, height) / 2 / focal_length)):.0f} degrees wide. "
             "If the number is in millimetres, divide it by the pixel pitch in millimetres.",
         )
-    return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings)})
+    assumed = CONVENTION if kind == "matte" else CONVENTION + LINEAR
+    return Lights(**{**found.__dict__, "findings": (*sentences, *found.findings, assumed)})
 
 
 def _clips_at(readings: list[Float[np.ndarray, "h w"]]) -> float | None:

@@ -712,6 +712,19 @@ def test_a_matte_ball_in_8_bits_is_not_called_clipped_and_room_light_is_subtract
     assert not any("face away" in sentence for sentence in found.findings)
 
 
+def test_axes_that_no_ball_shows_are_said():
+    """Mirrored images of a ball give mirrored lights, and nothing else."""
+    images, mask, _, _ = simulated("mirror", 1, lights=directions(3))
+    seen, flipped = (
+        calibrate([one[:, ::step] for one in images], [mask[:, ::step]], camera=CAMERA)
+        for step in (1, -1)
+    )
+    np.testing.assert_allclose(flipped.places * [-1, 1, 1], seen.places, atol=2e-3)
+    for found in (seen, flipped):
+        assert "x points right and y up in the images" in found.findings[-1]
+        assert found.findings[-1].endswith("a highlight does not show a gamma.")
+
+
 @pytest.mark.slow
 def test_a_rotated_image_is_left_out():
     """The rotation is a quarter turn. The light was wrong by 72 degrees with a stated .06, because
