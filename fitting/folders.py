@@ -148,7 +148,7 @@ def noise(
     if rig is not None and settings > 1:
         return _noise_of_settings(rig, step, draws, channel), {}
     if rig is not None and len(sites) > 1:
-        return [*_noise_of_sites(rig, step, draws), *added], {}
+        return _with_sheets(_noise_of_sites(rig, step, draws), added), {}
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     unstated: list[tuple[Rig, tuple[str, ...]]] = []
@@ -175,8 +175,19 @@ def noise(
     if unstated:
         apart, sentences = unstated[0]
         first, *others = _noise_of_sites(apart, step, draws)
-        return [replace(first, findings=(*sentences, *first.findings)), *others, *added], {}
-    return [found if rig is None else add_inputs(found, rig, "photon transfer"), *added], {}
+        first = replace(first, findings=(*sentences, *first.findings))
+        return _with_sheets([first, *others], added), {}
+    found = found if rig is None else add_inputs(found, rig, "photon transfer")
+    return _with_sheets([found], added), {}
+
+
+def _with_sheets(found: "list[Section]", added: "list[Section]") -> "list[Section]":
+    """Return sections followed by sheets of release 4, without findings said before."""
+    said = {sentence for one in found for sentence in one.findings}
+    for sheet in added:
+        new = tuple(sentence for sentence in sheet.findings if sentence not in said)
+        found.append(replace(sheet, findings=new))
+    return found
 
 
 def _release_4(

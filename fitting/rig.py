@@ -53,6 +53,7 @@ Seconds = Annotated[Positive, BeforeValidator(_quotient)]
 SecondsFromZero = Annotated[NonNegative, BeforeValidator(_quotient)]
 
 UNKNOWN_DIRECTION = 0.5  # rad; an error this large means that the direction is unknown
+LONGEST = 1e-3  # m, of a wavelength or a pixel; larger numbers are in nm or um
 COLDEST = 100.0  # K, lowest sensor temperature; a smaller number is in degrees Celsius
 
 
@@ -66,6 +67,16 @@ def kelvin(temperature: float) -> float:
 
 
 Kelvin = Annotated[Finite, AfterValidator(kelvin)]
+
+
+def _metres(length: float) -> float:
+    """Refuse a wavelength or a pixel pitch that is not in metres."""
+    if length > LONGEST:
+        raise ValueError(f"{length:g} m is too long; give metres, 550e-9 for 550 nm, 5e-6 for 5 um")
+    return length
+
+
+Metres = Annotated[Positive, AfterValidator(_metres)]
 
 
 def _plain(value: Any) -> Any:
@@ -145,8 +156,8 @@ class _Known(Entry):
 
     bits: Annotated[Count, Field(le=16)]
     gamma: Positive | None = None
-    pixel_pitch: Positive | None = None
-    wavelength: Positive | None = None
+    pixel_pitch: Metres | None = None
+    wavelength: Metres | None = None
     black_sd: Positive | None = None
     gamma_sd: Positive | None = None
     gain_sd: Positive | None = None

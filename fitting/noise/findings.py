@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from jaxtyping import Int
 
 from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
@@ -19,13 +20,13 @@ from .emva1288 import is_floored, least_dark_variance
 from .levels import PhotonTransfer, partly_saturated_in_words, shot_of, signal_of
 from .neighbours import are_known
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
-from .periodic import Periodic, periodic_in_words, taps_of
+from .periodic import Periodic, periodic_in_words, periodic_structure, taps_of
 from .raw_frames import BLOCK, compressed_in_words, processing_in_words
 from .regressions import MISFIT, Part, deviation_quantiles, least_squares
 from .shared import LINES, Found, drift, temporal_lines
 from .statement import gain_drop
 
-LEAST_EFFICIENCY = 1e-3  # least efficiency of any sensor in its design spectrum
+LEAST_EFFICIENCY = 1e-2  # least efficiency of any sensor in its design spectrum
 DISAGREEMENT_SIGMAS = 3.0  # standard errors from which two figures disagree
 LARGEST_GAIN_DEVIATION = 0.5  # relative deviation from which a gain is meaningless
 FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
@@ -83,10 +84,23 @@ def _efficiency(kind: str, calibration: NoiseCalibration) -> Numbers | None:
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
     """Return the periodic structure that blocks of a compression do not explain."""
-    blocks = compressed_in_words(calibration.measurement, calibration.usable)
-    return tuple(
-        one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
-    )
+    return _without_blocks(calibration.measurement, calibration.usable, calibration.periodic)
+
+
+def _without_blocks(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], found: tuple[Periodic, ...]
+) -> tuple[Periodic, ...]:
+    blocks = compressed_in_words(measurement, usable)
+    return tuple(one for one in found if not (blocks and BLOCK % (one.period or 3) == 0))
+
+
+def unequal_pixels(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], gain: float
+) -> list[str]:
+    """Return findings on classes of pixels that differ, for figures without a fit to each class."""
+    found = _without_blocks(measurement, usable, periodic_structure(measurement, usable))
+    spacing = 1 if measurement.pattern is None else 2
+    return periodic_in_words(found, gain, spacing=spacing, fitted=False)
 
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
@@ -672,8 +686,9 @@ FINDINGS = (
     Finding(
         "low efficiency",
         partial(_efficiency, "low"),
-        "The quantum efficiency is {efficiency:.3g} %, less than that of any sensor for light that "
-        "it is made for: photons are stated too high (give photons per pixel and exposure).",
+        "The quantum efficiency is {efficiency:.3g} %, less than that of sensors for light that "
+        "they are made for: the light is stated too high (photons are per pixel and exposure, "
+        "irradiance in W m^-2), or is at the end of the sensor's spectrum.",
     ),
     Finding(
         "high efficiency",

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from scipy.stats import rankdata
 
 from jaxvision.errors import InputError
 
@@ -16,6 +17,7 @@ FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and 
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 # Standard errors by which the variance of a level must exceed that of its darks
 SIGNIFICANCE_SIGMAS = 3.0
+FALLING = -0.8  # rank correlation of light and signal of levels in the reverse order
 UNEVEN_EFFICIENCY = 0.1  # rms of the logarithm of signal over light that no camera has
 EVEN_SHARE = 0.1  # of it, that remains if the light is stated per second
 FEWEST_FOR_BLACK = 6  # levels needed to estimate the flats' black level by a parabola
@@ -90,6 +92,14 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
         )
     if signal.max() < 3 * float(np.sqrt(dark.variance.max() / bright.pixels)):
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
+    ranks = rankdata(np.asarray(bright.light)), rankdata(signal)
+    if np.corrcoef(*ranks)[0, 1] < FALLING:
+        kind = "photons" if measurement.photons_known else "exposures"
+        raise InputError(
+            f"{file}: the signal falls from {signal[0]:.4g} to {signal[-1]:.4g} DN above black as "
+            f"the stated light rises: the {kind} of the levels are in the reverse order, or the "
+            "numbers are inverted."
+        )
     of_dark = dark.variance_error[measurement.dark_of]
     if (
         np.max(shot_of(measurement) / np.hypot(bright.variance_error, of_dark))

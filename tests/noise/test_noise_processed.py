@@ -289,10 +289,12 @@ def test_photons_in_another_unit_are_named():
     frames, camera = series(1, count=2), Camera(bits=12)
     with pytest.raises(InputError, match="so they are stated per second; give photons per pixel"):
         from_frames(*frames, list(SECONDS), list(PHOTONS / SECONDS), camera=camera)
-    for scale in (1, 1000):
+    with pytest.raises(InputError, match=r"signal falls from .* the photons of the levels are in"):
+        from_frames(*frames, list(SECONDS), list(PHOTONS[::-1]), camera=camera)
+    for scale in (1, 100, 1000):
         made = from_frames(*frames, list(SECONDS), list(scale * PHOTONS), camera=camera)
         told = findings_of(calibrate(made))
-        assert sum("photons are stated too high" in one for one in told) == (scale > 1)
+        assert sum("the light is stated too high" in one for one in told) == (scale > 1)
 
 
 @pytest.mark.slow

@@ -284,6 +284,29 @@ def test_the_sections_name_the_features_of_the_frames(stacks):
 
 
 @pytest.mark.slow
+def test_the_sections_name_a_mosaic_that_nobody_stated():
+    """The sheet is that of all sites."""
+    rng, levels = np.random.default_rng(0), np.linspace(300, 8000, 8)
+    efficiency = 0.5 * np.tile([[0.5, 1.0], [1.0, 0.35]], (32, 32))
+
+    def shot(electrons):
+        noisy = rng.poisson(electrons, (2, 64, 64)) + rng.normal(0, 4, (2, 64, 64))
+        return list(np.round(64 + 0.25 * noisy))
+
+    for each, said in ((efficiency, True), (0 * efficiency + 0.5, False)):
+        stacks = stacks_from_frames(
+            [shot(level * each) for level in levels],
+            [shot(0 * each)],
+            [0.01] * 8,
+            photons=list(levels),
+            camera=Camera(bits=12),
+            dark_exposures=[0.01],
+        )
+        findings = sections(release_4_sheet(stacks))[0].findings
+        assert any("as with a colour mosaic; give camera.pattern" in s for s in findings) == said
+
+
+@pytest.mark.slow
 def test_the_command_adds_a_sheet_for_each_site(tmp_path):
     text = '[camera]\nbits = 10\npattern = "RGGB"\n'
     for level in range(13):

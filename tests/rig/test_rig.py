@@ -396,3 +396,9 @@ def test_one_photograph_in_two_formats_is_refused(tmp_path):
         InputError, match=r"a\.1s\.tif and a\.1s\.jpg in \[\[light\]\] are files of"
     ):
         load_rig(tmp_path)
+
+
+def test_lengths_that_are_not_in_metres_are_refused():
+    for key, length in (("wavelength", 550), ("pixel_pitch", 5)):
+        with pytest.raises(ValueError, match=f"{length} m is too long; give metres"):
+            Camera(bits=12, **{key: length})

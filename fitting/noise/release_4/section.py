@@ -11,6 +11,7 @@ from ...inference.formatting import format_number, format_percent
 from ...inference.precision import double_precision
 from ...report.section import Section, Table
 from ..calibration import BY_NAME
+from ..findings import unequal_pixels
 from ..levels import signal_of
 from ..quantities import HEADINGS, QUANTITIES, Quantity
 from ..regressions import sampling_errors
@@ -171,7 +172,8 @@ def _general(sheet: Release4) -> list[Estimate]:
 
 
 def _findings(sheet: Release4) -> tuple[str, ...]:
-    stacks, sentences = sheet.stacks, []
+    stacks = sheet.stacks
+    sentences = _findings_on_frames(sheet)
     if sheet.within.saturation is not None and not sheet.clipped:
         why = "no level has more than .15 % of its numbers at the end of the scale"
         if stacks.numbers is None:
@@ -199,6 +201,14 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
         )
         sentences += _unevenness(sheet.nonuniformity)
     return (*sentences, *_leaks(sheet, stacks.averages))
+
+
+def _findings_on_frames(sheet: Release4) -> list[str]:
+    """Return sentences on frames that were left out, pixels that differ, and the files."""
+    measurement = sheet.stacks.measurement
+    usable = np.flatnonzero(np.asarray(sheet.within.linearity))
+    gone = (*measurement.bright.left_out, *measurement.dark.left_out)
+    return [*gone, *unequal_pixels(measurement, usable, sheet.gain), *measurement.remarks]
 
 
 def _noise_of_linearity(sheet: Release4) -> str:
