@@ -52,8 +52,8 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
         clauses = listed([one.clause for one in prediction.missing])
         falls = listed([f"{one.strength**2:.0f}" for one in prediction.missing])
         sentences = [
-            f"The frames show {clauses}, which is not part of a camera file. It "
-            f"lowers -2 log likelihood by {falls}. With it {predicts[0].lower()}{predicts[1:]}"
+            f"The frames show {clauses}, which is not part of a camera file. Including it lowers "
+            f"-2 log likelihood by {falls}. With it {predicts[0].lower()}{predicts[1:]}"
             f"freedom of {_ratios(prediction.missing[-1].after)}; without it they are "
             f"{_ratios(judged.agreement)}."
         ]
@@ -106,9 +106,9 @@ def explanations(prediction: Prediction) -> list[str]:
     for one in prediction.missing:
         first = one is prediction.missing[0]
         sentences.append(
-            f"{'The most likely cause is' if first else 'Added to that:'} {one.clause}. It "
-            f"lowers -2 log likelihood by {one.strength**2:.0f}. With it the chi-squares are "
-            f"{_ratios(one.after)}."
+            f"{'The most likely cause is' if first else 'Added to that:'} {one.clause}. "
+            f"Including it lowers -2 log likelihood by {one.strength**2:.0f}. "
+            f"With it the chi-squares are {_ratios(one.after)}."
         )
     left = prediction.missing[-1].after if prediction.missing else agreement
     if any(one.is_missed and one.ratio > 1 for one in left.values()):

@@ -310,6 +310,9 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     if (np.ptp(observation.falloff, axis=1) == 0).all():
         granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
     granted.append("the stated geometry (the sphere's centre and radius, the normals)")
+    granted.append(
+        "equal amplifiers (camera.taps states others, with black_level and gain of each)"
+    )
     granted.append("an orthographic camera, far from the object and in focus")
     return listed(granted)
 
