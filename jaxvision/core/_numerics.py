@@ -30,8 +30,10 @@ Tree = TypeVar("Tree")
 
 def smallest_divisor(dtype: DTypeLike) -> float:
     """Return the length below which a divisor counts as zero, tiny ** (1/4): 3e-10 in float32,
-    1e-77 in float64. The cube of its inverse, which occurs in gradients, is finite."""
-    return float(jnp.finfo(dtype).tiny) ** 0.25
+    1e-77 in float64. The cube of its inverse, which occurs in gradients, is finite. In float16 this
+    would be 0.09, which is no small number, so that it is tiny there, 6e-5."""
+    tiny = float(jnp.finfo(dtype).tiny)
+    return tiny if jnp.dtype(dtype) == jnp.float16 else tiny**0.25
 
 
 def log_of_zero(dtype: DTypeLike) -> float:

@@ -113,7 +113,9 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
         x, y = x - distortion.shift[0], y - distortion.shift[1]
     if distortion.stretch is not None:
         y = y / distortion.stretch
-    return _undistort(Distortion(distortion.radial, distortion.tangential), x, y)
+    bent = Distortion(distortion.radial, distortion.tangential)
+    dtype = jnp.result_type(x, y, *jax.tree.leaves(bent))
+    return _undistort(bent, x.astype(dtype), y.astype(dtype))
 
 
 @jax.custom_jvp

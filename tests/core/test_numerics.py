@@ -1,6 +1,7 @@
 """Tests the numerical primitives against mpmath, in ULP, and their gradients at every edge."""
 
 from fractions import Fraction
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 from oracles import exact
 from precisions import both_precisions
 
+import jaxvision as jv
 from jaxvision.core import _numerics as num
 from jaxvision.core._vector import as_array
 from jaxvision.geometry._places import _pick
@@ -214,3 +216,17 @@ def test_running_sums_never_decrease_and_are_constant_over_zeros():
     places = jnp.asarray(np.append(rng.uniform(size=20_000), 1 - 2.0**-24), jnp.float32)
     chosen = jax.vmap(lambda u: _pick(weights.at[-5:].set(0), u)[0])(places)
     assert (weights.at[-5:].set(0)[chosen] > 0).all()
+
+
+@pytest.mark.slow
+def test_no_small_number_of_half_precision_is_taken_for_zero():
+    """Of a divisor in float16 down to 6e-5: layers of alpha .05, dark xyY, a focal length."""
+    half = partial(jnp.asarray, dtype=jnp.float16)
+    colour = jv.matting.compositing.unpremultiply(half([[0.02, 0.01, 0.0, 0.05]]))
+    np.testing.assert_allclose(colour, [[0.4, 0.2, 0]], rtol=2e-3)
+    xyz = jv.colour_spaces.xyy_to_xyz(half([0.3, 0.05, 0.2]))
+    np.testing.assert_allclose(xyz, [1.2, 0.2, 2.6], rtol=2e-3)
+    assert jv.optics.image_vergence(half(2.0), half(0.05)) == pytest.approx(19.5, rel=2e-3)
+    with jax.numpy_dtype_promotion("standard"):  # the coefficients are in float32
+        bent = jv.optics.undistort(jv.Distortion([-0.1]), half(0.4875), half(0.0))
+    np.testing.assert_allclose(bent, [0.5, 0], atol=1e-3)
