@@ -20,7 +20,7 @@ STEEPEST = 0.3  # least nz: slopes at the rim of a body change too fast for diff
 FEWEST = 50  # fewest cells of 2 x 2 blocks
 BLOCKS = 24  # along the shorter side of the image
 TURNING, LEFT = 0.2, 0.05  # share of the curl: reported in stated axes; largest in better ones
-SMALLER = 2.5  # factor by which it is smaller in better axes, for noisy normals
+SMALLER = 2.5  # factor by which it is smaller in mirrored axes, for noisy normals
 RIM, INWARD = 0.6, 0.9  # largest nz at a steep border; share that points inward in a hollow
 AWAY = 0.5  # share of normals that point away from the camera
 
@@ -54,7 +54,7 @@ def axes_findings(
         phasor = (field**2).sum() / max((np.abs(field) ** 2).sum(), np.finfo(float).tiny)
         found.append(((1 - abs(phasor)) / 2, mirrored, np.degrees(np.angle(phasor)) / 2))
     left, mirrored, angle = min(found)
-    if left > max(LEFT, curl / SMALLER):
+    if left > (max(LEFT, curl / SMALLER) if mirrored else LEFT):
         return ()
     other = f"in axes that are rotated by {angle:.0f} or {angle + 180:.0f} degrees about z"
     if mirrored and abs(angle) < 20:
