@@ -125,7 +125,20 @@ def _is_short_float(dtype: np.dtype) -> bool:
 
 def warn_of_range(name: str, x: Any) -> None:
     """Warn if JAX's conversion to 32 bits would turn all numbers of a 64-bit array to 0, or some to
-    infinity. A single number is not checked."""
+    infinity, which is not checked for a single number; and of wavelengths and other numbers that
+    are below the normal range of float16."""
+    if getattr(x, "dtype", None) == np.float16 and np.size(x):
+        from ._types import is_known
+
+        if not is_known(x):
+            return
+        largest = float(np.abs(np.asarray(x, np.float32)).max())
+        if 0 < largest < np.finfo(np.float16).tiny:
+            warn_caller(
+                f"{name} holds numbers up to {largest:.4g}, of which float16 keeps few digits; "
+                "give float32."
+            )
+        return
     if type(x) in (list, tuple) and x and all(type(part) is float for part in x):
         x = np.asarray(x)
     if not (isinstance(x, np.ndarray) and x.dtype == np.float64 and x.size > 1):

@@ -189,3 +189,11 @@ def test_numbers_beyond_32_bits_are_named(size, words):
         with jax.enable_x64(False):
             tails = np.exp(-(np.arange(20.0) ** 2))  # whose single weights are tiny
             jv.filters.correlate(np.ones((32, 32)), np.outer(tails, tails)[:9, :9])
+
+
+def test_a_wavelength_in_half_precision_is_named():
+    """Of 550 nm float16 keeps three binary digits."""
+    with pytest.warns(
+        UserWarning, match="wavelength holds numbers up to 5.364e-07, of which float16"
+    ):
+        jv.optics.airy_radius(jnp.float16(5.5e-7), jnp.float16(8))
