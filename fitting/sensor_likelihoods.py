@@ -249,8 +249,8 @@ class SensorCounts(eqx.Module):
             )
 
     def for_data(self, data: Numbers) -> "SensorCounts":
-        """Return the likelihood with `totals` set to those of these data, if it needs them for
-        `draw`."""
+        """Return a copy whose `totals`, which `draw` needs, are the total counts of the tables in
+        `data`. If the data are not tables, or `totals` are given, return the likelihood itself."""
         if self.codes is None or self.totals is not None:
             return self
         return replace(self, totals=jnp.sum(jnp.asarray(data), axis=-1, keepdims=True))

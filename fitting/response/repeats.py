@@ -108,7 +108,9 @@ def exposure_jackknife(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """Fit the curve without each exposure; return deviations and prediction errors."""
+    """Leave out one exposure at a time and fit the curve to the others. Return the deviations of
+    these curves from their mean, and the errors with which each predicts the exposure left out;
+    None if there are too few exposures."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 

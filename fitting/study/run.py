@@ -95,8 +95,8 @@ def study(
 
 
 def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
-    """Return an outcome for each folder that has the same images as an earlier folder, because both
-    are the same camera.
+    """Return a failed outcome for each folder that shares more than half of its images with an
+    earlier folder: they show the same camera, which must not count twice.
     """
     before: dict[str, frozenset[str]] = {}
     found = {}

@@ -41,11 +41,11 @@ def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """Return the position of a sample in its pixel: 2 or 4 numbers, uniform in [0, 1). The position
-    of sample k is point k of a Kronecker sequence, with the coordinates (k alpha_i + shift_i) mod
-    1. In d dimensions, alpha_i = phi^-i with phi^(d+1) = phi + 1 (Roberts, 2018), rounded to a
-    multiple of 2^-32. Each pixel has a random shift (Cranley and Patterson, SIAM J. Numerical
-    Analysis 13 (1976))."""
+    """Return numbers of a sample, (dimensions,), uniform in [0, 1): 2 for its position in the
+    pixel and, of 4, 2 for its position on the lens. Sample k uses point k of a Kronecker
+    sequence, with the coordinates (k alpha_i + shift_i) mod 1. In d dimensions, alpha_i =
+    phi^-i with phi^(d+1) = phi + 1 (Roberts, 2018), rounded to a multiple of 2^-32. Each pixel
+    has a random shift (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976))."""
     shifts = _words(stream, jnp.uint32(0), _LATTICE_BLOCK)
     steps = _steps(dimensions)
     sample = jnp.uint32(0) if stream.sample is None else stream.sample

@@ -4,8 +4,9 @@ sr^-1.
 Matte surfaces, emitters and lamps of uniform radiance look the same from all directions. A point in
 focus on such a surface therefore looks the same through every part of the lens. The radiance of a
 specular lobe changes by at most its slope times the angle that the lens subtends, and by at most
-its largest value. The radiance of a diffuse part that is not Lambertian changes by at most twice
-its difference from a Lambertian surface, and by at most its whole value. A mirror or glass may show
+its largest value. The radiance of a diffuse part that is not Lambertian is that of a Lambertian
+surface plus a difference. It changes by at most twice the bound of this difference, and by at most
+its largest value. A mirror or glass may show
 different objects to different parts of the lens, so there is no bound.
 """
 

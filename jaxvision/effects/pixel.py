@@ -217,7 +217,8 @@ class Pixel:
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added_variance(self, name: str = "") -> float:
-        """Return the smallest variance added after the conversion, without the source `name`."""
+        """Return a lower bound on the variance added after the conversion, the sum over all noise
+        sources except `name`."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
     @property

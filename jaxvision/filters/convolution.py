@@ -268,9 +268,9 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
 
 
 def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray) -> bool:
-    """Return whether the sum of separable passes is accurate for each entry of a non-negative
-    kernel. If the passes cancel to an entry of 0, a bright pixel at this entry would leave a
-    rounding error."""
+    """Return whether the sum of separable passes gives every entry of a non-negative kernel without
+    losing digits to cancellation; True for other kernels. If the passes cancel to an entry of 0, a
+    bright pixel at this entry would leave a rounding error."""
     k = np.asarray(kernel, np.float64)
     k = k[None] if k.ndim == 2 else np.moveaxis(k, -1, 0)
     if s.shape[1] == 1 or k.min() < 0:

@@ -78,7 +78,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
-    """Return the hit of a plane, m. For `compute`, see `box_hit`."""
+    """Return where a ray hits a plane, in m. For `compute`, see `box_hit`."""
     normal = as_vec(normalize(plane.normal))
     return _hit(ray, plane.point, normal, jnp.asarray(True), size_of(plane), compute)
 

@@ -82,8 +82,9 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
 
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     """Return theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0
-    and `cosine` c, no units, of vectors with lengths of about 1. The result is 0 if theta is pi
-    within rounding or both vectors vanish, because the plane of the angle is then undefined.
+    and `cosine` c, no units, of vectors with lengths of about 1. Callers multiply the result by
+    the cross product of the vectors. If theta is pi within rounding, or a vector is 0, the cross
+    product has no direction, and the result is 0.
 
     With A(t^2) = arctan(t) / t, which needs no root, and s = sqrt(s2), the result is A(s2 / c^2) /
     c up to 45 degrees, then (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from
