@@ -480,7 +480,7 @@ def test_the_variance_of_a_pattern_variance_equals_that_of_repetitions():
 @pytest.mark.parametrize(
     ("efficiency", "least", "said"),
     [
-        *((None, None, ""), (0.6, 0.59, ""), (5e-29, 5e-29, "photons are stated too high")),
+        *((None, None, ""), (0.6, 0.59, ""), (5e-29, 5e-29, "the light is stated too high")),
         *((1.3, 1.29, "which no sensor has"), (1.006, 0.993, "is 100 % within its error")),
     ],
 )
