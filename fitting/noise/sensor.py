@@ -17,7 +17,7 @@ from jaxvision.files.cameras import write_sensor
 
 from ..codes import Converter
 from ..inference.compiled import compiled_briefly
-from ..inference.parameters import names, to_natural
+from ..inference.parameters import names, to_natural, to_unconstrained
 from ..inference.precision import double_precision
 from .brighter_fatter import fitted_effect, fitted_kernel, fitted_mixing
 from .calibration import NoiseCalibration
@@ -218,9 +218,16 @@ def codes_in_words(converter: Converter) -> str:
 def mode_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"]
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
-    """Fit the same model without some levels; return the optimum of the fit and its covariance."""
-    chosen = calibration.chosen
+    """Fit the same model without some levels; return the optimum of the fit and its covariance. If
+    the other levels do not determine all parameters, the covariance is that of the posterior,
+    increased by the ratio of the numbers of levels."""
+    chosen, posterior = calibration.chosen, calibration.posterior
     optimum = fit_without_levels(chosen, left_out)
+    try:
+        np.linalg.cholesky(optimum.information)
+    except np.linalg.LinAlgError:
+        vectors = np.asarray(to_unconstrained(posterior.space, jnp.asarray(posterior.samples)))
+        return optimum.vector, np.cov(vectors.T) * left_out.size / np.sum(~left_out)
     return optimum.vector, chosen.inflation * np.linalg.inv(optimum.information)
 
 

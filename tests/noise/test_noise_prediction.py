@@ -14,6 +14,7 @@ import fitting.noise.calibration as calibrations
 import jaxvision as jv
 from fitting.cli import app
 from fitting.noise import Camera, calibrate, from_frames, predict
+from fitting.noise import sensor as sensor_of
 from fitting.noise.levels import Levels, PhotonTransfer, SharedVariance
 from fitting.noise.prediction.comparison import compare
 from fitting.noise.prediction.moments import Lit, clipped
@@ -261,6 +262,23 @@ def test_levels_kept_out_of_the_fit_are_predicted(afternoon):
     told = calibration.section.findings
     assert any("predicts" in one and "held out in a second fit" in one for one in told)
     assert "prediction" in [picture.name for picture in calibration.section.pictures]
+
+
+@pytest.mark.slow
+def test_levels_that_do_not_determine_a_parameter_keep_its_posterior_error(afternoon, monkeypatch):
+    """The inverse of an information that is not positive definite is no covariance."""
+    _, calibration = afternoon
+    left_out = levels_kept_out(calibration)
+    mode, usual = sensor_of.mode_without(calibration, left_out)
+    optimum = sensor_of.fit_without_levels(calibration.chosen, left_out)
+    indefinite = optimum.information - 2 * np.diag(np.eye(len(mode))[0] * optimum.information[0, 0])
+    optimum = replace(optimum, information=indefinite)
+    monkeypatch.setattr(sensor_of, "fit_without_levels", lambda *_: optimum)
+    found = sensor_of.mode_without(calibration, left_out)[1]
+    np.linalg.cholesky(found)
+    ratio = np.sqrt(np.diagonal(found) / np.diagonal(usual))
+    assert (ratio > 0.3).all()
+    assert (ratio < 3).all()
 
 
 @pytest.mark.slow
