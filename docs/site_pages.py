@@ -27,7 +27,7 @@ GALLERY = {  # the gallery's scripts by topic, in the order of the page
     "Sensors and files": "noise photon_transfer blooming demosaicing jpeg",
     "Points and filters": "tone equalisation smoothing orientation borders",
     "Compositing": "blue_screen hair_matte pyramid_blend",
-    "Fitting and results": "own_fit stereo edge sensitivities results",
+    "Fitting and results": "own_fit lights stereo edge sensitivities results",
 }
 
 

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxvision.errors import InputError
 
@@ -46,11 +46,13 @@ from ..reflectance.models import is_searched, shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
 from .model import (
+    BY_IMAGE,
     SCATTERS,
     JointData,
     black_level,
     cost,
     error_columns,
+    irradiance_turns,
     parameters,
     predicted_parts,
     scatter_scales,
@@ -183,11 +185,30 @@ def _prepare(observation: Photographs, channel: int, form: Form) -> tuple[Grid, 
         )
     levels = None if observation.levels is None else observation.levels[channel]
     relative = {n: jnp.asarray(size[grid.lights]) for n, (_, size) in scales.items() if n != "prnu"}
-    prior = turn_prior_of(observation, grid.lights)
-    precision = None if prior is None else jnp.asarray(np.linalg.inv(prior))
     white = jnp.asarray(observation.white)
-    data = JointData(space, form, known, cells, levels, white, relative, precision)
+    turns = _turns_precision(observation, grid.lights)
+    data = JointData(space, form, known, cells, levels, white, relative, *turns)
     return grid, data, to_unconstrained(space, jnp.asarray(list(natural.values())))
+
+
+def _turns_precision(
+    observation: Photographs, lights: Int[np.ndarray, " lights"]
+) -> tuple[Array | None, tuple[str, ...]]:
+    """Return the inverse covariance of errors of lights that are measured together, and the names
+    of these errors. The exposures' own errors add to those of the intensities.
+    """
+    known = observation.uncertain
+    sizes, prior = irradiance_turns(observation)
+    if prior is None or not known["direction_sd"][lights].any():
+        return None, ()
+    prior = turn_prior_of(replace(observation, turn_prior=prior), lights)
+    assert prior is not None
+    if len(prior) > 2 * len(lights):
+        share = np.ones((len(lights), 3))
+        share[:, 2] = (sizes / np.maximum(np.hypot(sizes, known["exposure_sd"]), 1e-12))[lights]
+        prior = prior * np.outer(share, share) + np.diag(1 - share.ravel() ** 2)
+    coupled = ("direction_scatter", "light_scatter")[: len(prior) // len(lights) - 1]
+    return jnp.asarray(np.linalg.inv(prior)), coupled
 
 
 def first_reflectance(
@@ -291,8 +312,17 @@ def drop_small_errors(
     gone = negligible(found)
     named = {own.name for own in gone}
     left = [i for i, parameter in enumerate(data.space) if parameter.name not in named]
+    precision, coupled = data.turn_precision, tuple(n for n in data.coupled if n not in named)
+    if precision is not None and coupled != data.coupled:
+        sizes = [BY_IMAGE[name] for name in data.coupled]
+        kept = np.repeat([name in coupled for name in data.coupled], sizes)
+        kept = np.flatnonzero(np.tile(kept, len(precision) // sum(sizes)))
+        covariance = np.linalg.inv(np.asarray(precision))[np.ix_(kept, kept)]
+        precision = jnp.asarray(np.linalg.inv(covariance)) if kept.size else None
     data = replace(
         data,
+        turn_precision=precision,
+        coupled=coupled,
         space=tuple(data.space[i] for i in left),
         cells=replace(data.cells, products=None) if "prnu" in named else data.cells,
         relative={name: size for name, size in data.relative.items() if name not in named},

@@ -39,6 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.linalg import block_diag
 
 from jaxvision import Vec
 
@@ -90,7 +91,7 @@ def scatter_scales(
     the same effect, so they count as one error."""
     known = observation.uncertain
     stated = {
-        "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
+        "light_scatter": np.hypot(irradiance_turns(observation)[0], known["exposure_sd"]),
         "direction_scatter": known["direction_sd"],
         "stray_scatter": known["stray_sd"],
     }
@@ -102,6 +103,29 @@ def scatter_scales(
     if observation.camera.prnu_sd:
         found["prnu"] = (observation.camera.prnu_sd, np.ones(0))
     return found
+
+
+def irradiance_turns(
+    observation: Photographs,
+) -> tuple[Float[np.ndarray, " lights"], Float[np.ndarray, "turns turns"] | None]:
+    """Return the relative standard deviation of each light's irradiance, and the joint covariance
+    of two rotations and the irradiance of each light, in units of their standard deviations; None
+    for independent lights and exact intensities. The object counts as small compared with the
+    distance of a near light, which changes the irradiance of all pixels alike.
+    """
+    own, prior = observation.uncertain["intensity_sd"], observation.turn_prior
+    lights = len(observation.files)
+    kept = 0 if prior is None else len(prior) // lights
+    if prior is None or kept < 4:
+        return own, prior
+    along = np.zeros((lights, 3, 4))
+    along[:, 0, 0], along[:, 1, 1], along[:, 2, 2] = 1, 1, own
+    along[:, 2, 3] = -2 * observation.uncertain["distance_sd"]
+    whole = block_diag(*along)
+    covariance = whole @ prior @ whole.T
+    scale = np.sqrt(np.maximum(covariance.diagonal(), 1e-24))
+    scale.reshape(lights, 3)[:, :2] = 1  # already in units of their own
+    return scale[2::3], covariance / np.outer(scale, scale)
 
 
 def parameters(
@@ -187,9 +211,10 @@ class JointData(eqx.Module):
     white: Array  # W, DN
     # by name of an error of images, its size in each image relative to its scale, (images,)
     relative: dict[str, Float[Array, " images"]]
-    # joint inverse covariance of the rotations of all lights, in units of their scale; None if
-    # lights are independent
+    # joint inverse covariance of the `coupled` errors of all lights, in units of their scale; None
+    # if lights are independent
     turn_precision: Float[Array, "turns turns"] | None = None
+    coupled: tuple[str, ...] = eqx.field(static=True, default=())
 
 
 def error_columns(data: JointData) -> dict[str, slice]:
@@ -280,11 +305,11 @@ def residuals(model: Prediction, data: JointData) -> marginal.Residuals:
     if model.gains is not None:
         seen = cells.count > 0
         of_cells = jnp.where(seen, model.gains / jnp.sqrt(jnp.where(seen, cells.count, 1)), 0)
-    if data.turn_precision is not None and "direction_scatter" in data.relative:
+    if data.turn_precision is not None:
         assert model.image_errors is not None
         images, errors, _ = model.image_errors.shape
-        columns = np.arange(images * errors).reshape(images, errors)
-        places = columns[:, error_columns(data)["direction_scatter"]].ravel()
+        columns, named = np.arange(images * errors).reshape(images, errors), error_columns(data)
+        places = np.concatenate([columns[:, named[n]] for n in data.coupled], axis=1).ravel()
         precision = jnp.eye(images * errors).at[np.ix_(places, places)].set(data.turn_precision)
     left = cells.mean - model.mean
     errors = model.image_errors, of_cells, precision

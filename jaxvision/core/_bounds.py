@@ -177,6 +177,17 @@ def peak(x: Any, name: str) -> np.ndarray:
     return np.maximum(*(np.abs(numbers(getattr(end, name))) for end in x))
 
 
+def cone(light: Ends[Any]) -> tuple[np.ndarray, float]:
+    """Return the middle, (1, 3) unit, of a light's directions, and the largest angle to it, rad."""
+    low, high = numbers(light.low.direction), numbers(light.high.direction)
+    points = unit(box_corners(low, high))
+    middle = unit(points.mean(0))
+    width = float(angle(points, middle).max()) if len(points) > 1 else 0.0
+    if width >= np.pi / 2 or (len(points) > 1 and np.all(low * high <= 0)):
+        width = np.pi
+    return middle[None], width
+
+
 def least(x: Any, name: str) -> float:
     return min(float(numbers(getattr(end, name)).min()) for end in x)
 
@@ -190,7 +201,8 @@ class Source(NamedTuple):
 
     Attributes:
         spectrum: (bands,) largest intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1.
-        places: (s, 3) m, or unit directions for a light at infinity.
+        places: (s, 3) m, or unit directions for a light at infinity; a "sky" has none, or the
+            middle of the cone from which all its light comes.
         size: (s,) radius of each place, m; rad for directions.
         weight: (s,) m^2 of area, 1 for a light of intensity or irradiance.
         normal: (3,) unit, for a light that shines to one side; None for all directions.

@@ -57,20 +57,20 @@ class Arrived(NamedTuple):
 def light_on(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
     """Bound the light of a source on the cells, at least `least`, (c,) m, away from it."""
     count = len(cells.radius)
-    if source.kind == "sky":
+    if source.kind == "sky" and not len(source.places):
         e = np.full((count, 1), 2 * np.pi * source.share)
         one = np.ones((count, 1))
         return Arrived(None, one * np.pi, one, e, np.minimum(e[:, 0], np.pi), e[:, 0])
-    if source.kind == "direction":
+    if source.kind in ("direction", "sky"):
         wi = np.broadcast_to(source.places, (count, 1, 3))
         width = np.broadcast_to(source.size, (count, 1))
         off = angle(cells.axis[:, None], wi) - cells.spread[:, None] - width
         cos_i = cosine(np.maximum(off, 0))
-        e = (cos_i > 0).astype(float)
+        e = (cos_i > 0) * (2 * np.pi * source.share if source.kind == "sky" else 1.0)
     else:
         wi, width, cos_i, e = _toward_places(source, cells, least)
     body, facing = times(e, cos_i).sum(1), e.sum(1)
-    if source.kind == "area":
+    if source.extended:
         body, facing = np.minimum(body, np.pi), np.minimum(facing, 2 * np.pi)
     return Arrived(wi, width, cos_i, e, body, facing)
 

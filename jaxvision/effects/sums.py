@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core._bounds import peak
+from ..core._bounds import angle, peak
 from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen, lobe_angles
@@ -242,7 +242,8 @@ def _compute_mirrored(
     found, own = np.ones((len(sources), len(cells.radius)), bool), mirrors[cells.surface]
     there = Cells(*(x[own] for x in cells))
     for k, source in enumerate(sources):
-        if source.kind == "area" and own.any() and not eye.everywhere:
+        narrow = source.extended and len(source.places) > 0
+        if narrow and own.any() and not eye.everywhere:
             to = light_on(source, there, nearest[k, there.surface])
             assert to.wi is not None
             off = lobe_angles(there, eye, to.wi, to.width, to.cos_i).off_mirror
@@ -281,7 +282,7 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
 def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) -> bool:
     """Return whether a pixel may see a light, judged by its geometry and not by its brightness."""
     if source.kind == "sky":
-        return True
+        return not len(source.places) or _may_see_direction(eye, source)
     if source.kind != "area" or source.body is None:
         return False
     points, _ = source.body
@@ -292,6 +293,16 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
             return False
     in_picture = bool(visible_flags(eye, stacked([source.body]))[0])
     return in_picture and not covered(source.body, eye, surfaces)
+
+
+def _may_see_direction(eye: Eye, source: Source) -> bool:
+    """Return whether a pixel may see a cone of directions at infinity."""
+    if eye.everywhere:
+        return True
+    wide = np.sin(min(float(source.size[0]), np.pi / 2)) + _ROUNDING
+    if eye.parallel:
+        return bool(angle(eye.rotation[2], source.places[0]) <= source.size[0] + _ROUNDING)
+    return bool(np.all(eye.planes @ source.places[0] >= -wide))
 
 
 def reflected_light(

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._bounds import Ends, Source, angle, box_corners, numbers, peak, unit
+from ..core._bounds import Ends, Source, cone, peak
 from ..core._numerics import normalize
 from ..core._types import AMOUNT, Colour, as_float, check_direction, check_fields
 from ..core._vector import Vector
@@ -44,15 +44,9 @@ def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
 
 def _bound(light: Ends[DirectionalLight]) -> Source:
     """Return upper bounds on the light: its largest irradiance, from a cone of directions."""
-    low, high = numbers(light.low.direction), numbers(light.high.direction)
-    points = unit(box_corners(low, high))
-    middle = unit(points.mean(0))
-    width = angle(points, middle).max() if len(points) > 1 else 0.0
+    middle, width = cone(light)
     own = np.array([1.0])
-    if width >= np.pi / 2 or (len(points) > 1 and np.all(low * high <= 0)):
-        width = np.pi
-    irradiance = peak(light, "irradiance")
-    return Source(irradiance, middle[None], own * width, own, None, None, "direction")
+    return Source(peak(light, "irradiance"), middle, own * width, own, None, None, "direction")
 
 
 register(DirectionalLight, incident=from_directional_light, bound=_bound)

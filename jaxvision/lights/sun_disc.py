@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._bounds import Ends, Source, least, peak
+from ..core._bounds import Ends, Source, cone, least, most, peak
 from ..core._numerics import normalize
 from ..core._types import (
     AMOUNT,
@@ -99,13 +99,16 @@ def sun_pdf(light: SunDisc, point: Vector, wi: Direction) -> Scalar:
 
 
 def _bound(light: Ends[SunDisc]) -> Source:
-    """Return upper bounds on the light of a disc: its largest radiance from any direction, and the
-    share of the sky that its largest disc fills."""
-    smallest, widest = least(light, "radius"), max(float(end.radius) for end in light)
+    """Return upper bounds on the light of a disc: its largest radiance, the cone of its directions,
+    and the share of the sky that its largest disc fills. Where both ends have one radius, that
+    share times the radiance is the irradiance of a facing surface, within cos(radius / 2)^2."""
+    smallest, widest = least(light, "radius"), most(light, "radius")
     radiance = peak(light, "irradiance") / (np.pi * np.sin(smallest) ** 2)
-    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    middle, width = cone(light)
     share = float(2 * np.sin(widest / 2) ** 2)
-    return Source(radiance, *none, None, None, "sky", share=share, even=True)
+    own = np.array([1.0])
+    around = own * min(width + widest, np.pi)
+    return Source(radiance, middle, around, own, None, None, "sky", share=share, even=True)
 
 
 def _from_file(

@@ -1,4 +1,4 @@
-"""Rows of docs/coverage.md for lights, edges, sensitivities, mattes and normals under near lights.
+"""Rows of docs/coverage.md for lights, lenses, sensitivities, maps, mattes and normals.
 
     python tests/benchmarks/interval_coverage.py TABLE [--count N]
 
@@ -19,6 +19,7 @@ from scipy.stats import chi2, norm
 sys.path.append(str(Path(__file__).parents[1]))
 sys.path.extend(str(room) for room in Path(__file__).parents[1].glob("*/"))
 
+import test_edge_aberrations as lens
 import test_from_edge as edge
 import test_interreflection as hollow
 import test_lights_calibration as balls
@@ -26,10 +27,11 @@ import test_matting as matte
 import test_near_lights as near
 import test_sensitivities as colour
 
-from fitting import resolution, sensitivities
+import jaxvision as jv
+from fitting import Gaussian, Parameter, Problem, fit, resolution, sensitivities
 from fitting.checks.coverage import coverage
 from fitting.reflectance import photometric_stereo
-from jaxvision import matting
+from jaxvision import colour_spaces, matting
 
 
 def row(*cells) -> None:
@@ -83,19 +85,23 @@ def edges(count: int = 500) -> None:
 
             fine = np.linspace(0, 2, 20_001)
             half = fine[np.argmax(mtf(fine) < 0.5)]
-            band = one.mtf50
+            band, width = one.mtf50, one.fwhm
+            x = np.linspace(0, 6, 2001)
+            line = np.trapezoid(mtf(fine) * np.cos(2 * np.pi * x[:, None] * fine), fine, axis=1)
+            wide = 2 * np.interp(-0.5, -line / line[0], x)
             missed = one.otf - mtf(one.frequency)
             square = missed @ np.linalg.pinv(one.otf_covariance) @ missed
             found.append(
                 [
                     norm.cdf((blur - at["blur"][0]) / at["blur"][1]),
                     norm.cdf((half - band.mean) / band.sd),
+                    norm.cdf((wide - width.mean) / width.sd),
                     chi2.cdf(square, np.linalg.matrix_rank(one.otf_covariance)),
                 ]
             )
         u = np.array(found)
-        joint = np.mean(u[:, 2] < 0.95)
-        for one in coverage(u[:, :2], ("blur", "MTF50")):
+        joint = np.mean(u[:, 3] < 0.95)
+        for one in coverage(u[:, :3], ("blur", "MTF50", "FWHM")):
             low, high_end = one.band[-1]
             row(
                 *(name, one.name, one.simulations, *(f"{share:.3f}" for share in one.covered)),
@@ -118,7 +124,7 @@ def charts(count: int = 40) -> None:
         middle = rng.uniform(400, 700, (20, 1))
         others = rng.uniform(0, 1, (20, 1)) * np.exp(-(((colour.NM - middle) / 80) ** 2))
         others = (0.05 + others) * colour.DAY
-        found = {"curve": [], "readings": [], "white balance": []}
+        found = {"curve": [], "readings": [], "white balance": [], "matrix": [], "Delta E": []}
         for seed in range(count):
             true = colour.camera(name) if name in colour.NAMES else colour.random_camera(seed)
             raw = colour.NIGHT @ true
@@ -129,6 +135,18 @@ def charts(count: int = 40) -> None:
             balance = one.white_balance(colour.NIGHT)
             off = (raw[1] / raw - balance.mean)[[0, 2]]  # for red and blue
             found["white balance"].append(off / balance.sd[[0, 2]])
+            own = sensitivities.Sensitivities(**vars(one) | {"draws": true[None]})
+            matrix, seen = one.matrix(colour.NIGHT), (colour.NIGHT * colour.CHART) @ true
+            xyz = np.asarray(colour_spaces.observer(colour.AT), float)
+            white = colour.NIGHT @ xyz
+            wanted = (colour.NIGHT * colour.CHART) @ xyz / white[1]
+            labs = [
+                colour_spaces.xyz_to_lab(jnp.asarray(a), jnp.asarray(white / white[1]))
+                for a in (np.maximum(seen @ matrix.mean.T, 0), wanted)
+            ]
+            found["matrix"].append(placed(matrix.draws, own.matrix(colour.NIGHT).mean))
+            off = np.asarray(colour_spaces.delta_e_2000(*labs))
+            found["Delta E"].append(placed(one.delta_e(colour.NIGHT).draws, off))
         for what, z in found.items():
             row(name, what, count, *shares(z))
 
@@ -213,7 +231,62 @@ def hollows(count: int = 1) -> None:
                 row(kind, degrees, "as read" if white is None else "white", *shares_inside, off)
 
 
+def wavefronts(count: int = 100) -> None:
+    """Aberrations of 30, -45 and 60 nm: of two pictures of a star, and of six of edges."""
+    terms, focus = jnp.array([3, 5, 7, 10]), jnp.array([-80.0, 80.0])
+    true, free = np.array([30.0, -45.0, 60.0]), Parameter(lower=-200.0, upper=200.0, shape=(3,))
+
+    def stars(aberrations):
+        def star(defocus):
+            error = 1e-9 * jnp.zeros(11).at[terms].set(jnp.append(defocus, aberrations))
+            return jv.optics.wavefront_kernel(error, 550e-9, 8.0, 2e-6, size=15, samples=48)
+
+        return 2e4 * jax.vmap(star)(focus) + 20
+
+    mean, z = np.asarray(stars(jnp.asarray(true))), []
+    for seed in range(count):
+        data = np.random.default_rng(seed).poisson(mean)
+        found = fit(Problem({"aberrations": free}, stars, Gaussian(sd=np.sqrt(mean)), data))
+        of = [(one.value, one.standard_error) for one in found.estimates]
+        z.append([(value - at) / sd for (value, sd), at in zip(of, true, strict=True)])
+    for name, own in zip(("astigmatism", "coma", "spherical"), np.transpose(z), strict=True):
+        row("two stars", name, count, *shares(own))
+    known: dict = {"wavelength": lens.WAVE, "f_number": lens.F_NUMBER, "pixel_pitch": lens.PITCH}
+    by_name: dict = {}
+    for seed in range(100, 100 + count // 2):
+        images, defocus = lens.pictures(seed)
+        found = resolution.wavefront_from_edges(images, **known, defocus=defocus)
+        for one in found.estimates:
+            if one.name[0] == "z":
+                off = one.value - lens.TRUTH.get(int(one.name[1:]), 0.0)
+                by_name.setdefault(one.name, []).append(off / one.standard_error)
+    for name, own in by_name.items():
+        row("edges", name, len(own), *shares(own))
+
+
+def texels(count: int = 200) -> None:
+    """The reflectances of 4 x 4 texels of a card, from one picture of 24 x 24 pixels."""
+    view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.03, resolution=(24, 24))
+
+    def picture(texels):
+        paint = jv.Lambert(jv.Map(texels[..., None], wrap="clamp"))
+        card = jv.Surface(jv.Quad([-1, -1, 2.5], [0, 2, 0], [2, 0, 0]), paint)
+        return jv.render(jv.Scene(card, jv.PointLight([1, 0, 0], [5.0])), view)[..., 0]
+
+    free, z, shown = Parameter(lower=0, shape=(4, 4), linear=True), [], jax.jit(picture)
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        true = rng.uniform(0.05, 0.25, (4, 4))
+        data = np.asarray(shown(jnp.asarray(true))) + 0.002 * rng.normal(size=(24, 24))
+        found = fit(Problem({"texels": free}, picture, Gaussian(0.002), data))
+        of = [(one.value, one.standard_error) for one in found.estimates]
+        z.append([(value - at) / sd for (value, sd), at in zip(of, true.ravel(), strict=True)])
+    row("4 x 4 texels", "reflectance", count, *shares(z))
+
+
 TABLES = {
+    "wavefronts": wavefronts,
+    "texels": texels,
     "lights": lamps,
     "edges": edges,
     "sensitivities": charts,

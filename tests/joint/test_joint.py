@@ -38,7 +38,7 @@ from fitting.joint.misfit import (
 from fitting.joint.model import Cells, JointData, log_likelihood, parameters, scatter_scales
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
-from fitting.reflectance.from_images.read import set_direction_covariance
+from fitting.reflectance.from_images.read import set_light_covariance
 from fitting.reflectance.from_images.signal import Form, Geometry
 from fitting.report.sentences import evaluate_findings
 from fitting.rig import Camera, SphereGeometry
@@ -604,8 +604,9 @@ def test_images_with_rotated_lights_are_judged_one_by_one(together):
     measurement = photographed(lab, 0)
     if together:
         count = len(measurement.files)
-        shared = (1 + np.eye(count))[:, None, :, None] * np.eye(3)[:, None] / 2
-        measurement = set_direction_covariance(measurement, lab.sphere.direction_sd**2 * shared)
+        shared = (1 + np.eye(count))[:, None, :, None] * np.diag([1, 1, 1, 0])[:, None] / 2
+        shared *= lab.sphere.direction_sd**2
+        measurement = set_light_covariance(measurement, shared, False)
     fit = fit_turned(measurement, 0, Form("phong"))
     assert fit.data.cells.geometry.about is not None
     vector = jnp.asarray(fit.vector)

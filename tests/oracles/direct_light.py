@@ -4,6 +4,7 @@ read, and none of its code is used. `picture` is the picture that `render` shoul
 import numpy as np
 
 OFFSET = 1e-6
+SUN = 4, 12  # nodes of a disc
 SKY = 10, 20  # nodes of a sky, polar and azimuthal, for lobes wider than 0.32 rad
 
 
@@ -285,6 +286,25 @@ def arriving(light, p, nodes):
                 wi = np.array([[sine * np.cos(phi), sine * np.sin(phi), cos]])
                 e = sky_radiance(light, wi) * w * 2 * np.pi / around
                 yield np.broadcast_to(wi, p.shape), np.repeat(e, n, 0), np.full(n, np.inf)
+    elif name == "SunDisc":
+        polar, around = SUN
+        w, (z, weight) = unit(number(light.direction)), np.polynomial.legendre.leggauss(polar)
+        across = unit(np.cross(w, np.eye(3)[np.abs(w).argmin()]))
+        height = 2 * np.sin(float(light.radius) / 2) ** 2
+        e = sun_radiance(light) * 2 * np.pi * height / around
+        for down, share in zip(height * (1 + z) / 2, weight / 2, strict=True):
+            for phi in 2 * np.pi * (np.arange(around) + 0.5) / around:
+                aside = np.cos(phi) * across + np.sin(phi) * np.cross(w, across)
+                wi = (1 - down) * w + np.sqrt(down * (2 - down)) * aside
+                yield np.broadcast_to(wi, p.shape), np.repeat([e * share], n, 0), np.full(n, np.inf)
+    elif name == "GoniometricAreaLight":
+        c, u, v = number(light.corner), number(light.edge_u), number(light.edge_v)
+        x, weight = np.polynomial.legendre.leggauss(nodes)
+        for s, ws in zip((x + 1) / 2, weight / 2, strict=True):
+            for t, wt in zip((x + 1) / 2, weight / 2, strict=True):
+                place = c + s * u + t * v
+                wi, e, distance = at_place(place, number(light.intensity) * ws * wt, None, p)
+                yield wi, e * photometric(light, -wi)[:, None], distance
     elif name in ("SpotLight", "GoniometricLight"):
         wi, e, distance = at_place(number(light.position), number(light.intensity), None, p)
         share = cone if name == "SpotLight" else photometric
@@ -314,10 +334,19 @@ def cone(light, away):
     return np.clip((outer - np.arccos(np.clip(cosine, -1, 1))) / (outer - inner), 0, 1)
 
 
+def sun_radiance(light):
+    return number(light.irradiance) / (np.pi * np.sin(float(light.radius)) ** 2)
+
+
 def photometric(light, away):
     """Return the relative intensity of a lamp of system C, bilinear in gamma (from -z) and C (from
     x)."""
-    x, y, z = (away @ number(light.rotation).T).T
+    if hasattr(light, "rotation"):
+        frame = number(light.rotation)
+    else:
+        u, v = unit(number(light.edge_u)), unit(number(light.edge_v))
+        frame = np.stack([u, -v, -np.cross(u, v)])
+    x, y, z = (away @ frame.T).T
     gamma, c = np.arccos(np.clip(-z, -1, 1)), np.mod(np.arctan2(y, x), 2 * np.pi)
     planes = np.array([np.interp(c, number(light.horizontal), row) for row in light.distribution])
     vertical = number(light.vertical)
@@ -391,11 +420,21 @@ def lamps(scene, o, d):
     for light in scene.lights:
         if kind(light) == "EnvironmentMap":
             radiance += np.where(np.isinf(far)[:, None], sky_radiance(light, d), 0)
+        if kind(light) == "SunDisc":
+            within = d @ unit(number(light.direction)) >= np.cos(float(light.radius))
+            radiance += within[:, None] * sun_radiance(light)
     for light in scene.lights:
         if kind(light) == "RectangleLight":
             t, n, _ = quad(light, np.broadcast_to(o, d.shape), d)
             seen = (t < far) & (dots(n, d) < 0)
             radiance[seen], far[seen] = number(light.radiance), t[seen]
+        if kind(light) == "GoniometricAreaLight":
+            t, n, _ = quad(light, np.broadcast_to(o, d.shape), d)
+            area = np.linalg.norm(np.cross(number(light.edge_u), number(light.edge_v)))
+            seen = (t < far) & (dots(n, d) < 0)
+            cosine = np.maximum(-dots(n, d), 1e-9)[:, None]
+            emitted = number(light.intensity) * photometric(light, -d)[:, None] / (area * cosine)
+            radiance[seen], far[seen] = emitted[seen], t[seen]
     return radiance, far
 
 

@@ -472,8 +472,8 @@ OF_ALL = (
     Finding(
         "lights turned",
         partial(_report_rotations, followed=True),
-        "The directions of the lights were fitted: they changed by {sizes} times direction_sd along"
-        " either axis (rms).",
+        "The directions of the lights were fitted, with intensities and distances that have a joint"
+        " covariance: they changed by {sizes} standard deviations (rms).",
     ),
     Finding(
         "directions wider",

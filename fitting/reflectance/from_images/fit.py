@@ -40,6 +40,7 @@ from .lights import (
     rotate_lights,
     shifts_of_turns,
     stated_errors,
+    turn_sizes,
     widen_directions,
 )
 from .optimum import (
@@ -88,8 +89,8 @@ class ChannelFit:
     sensor_chi_square: float | None  # with the sensor's noise alone; None if unknown
     log_likelihood: float  # with the final residuals' spread and the fitted lights
     by_light: Float[np.ndarray, "lights 2"]  # `squared_errors` of the samples
-    # (lights, 2) rotations and the (rotations, rotations) information of the images on them, in
-    # units of the directions' uncertainty; None if all directions are exact
+    # (lights, errors) rotations and logarithms of intensities, and the information of the images on
+    # them, in units of their uncertainty; None if all directions are exact
     turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
 
@@ -112,7 +113,8 @@ class ChannelFit:
 
     @cached_property
     def _scores_and_slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        return scores_and_slopes(predict(self.vector, self.samples), self.samples)
+        scores, slopes = scores_and_slopes(predict(self.vector, self.samples), self.samples)
+        return scores if self.stated.scores is None else self.stated.scores, slopes
 
     @cached_property
     def regions(self) -> Int[np.ndarray, " lights"]:
@@ -230,9 +232,7 @@ def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
     """Return the photographs with the light directions that a fit estimated."""
     if fit.turned is None or not fit.turned.followed:
         return observation
-    return rotate_lights(
-        observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None]
-    )
+    return rotate_lights(observation, fit.turned.turns * turn_sizes(observation))
 
 
 def predicted_image(

@@ -16,14 +16,16 @@ errors, so the covariance that these errors cause is added. The gain only weight
 `gain_sd` changes no parameter to first order. Errors that change the distribution of the samples by
 at most a tenth of their noise are dropped (`inference.left_out`).
 
-A rig's `direction_sd` is a normal prior for the rotations e of the lights, two for each light. In
-units of standard deviations, the residuals r of the images change by S e to first order. The most
-likely rotations for given parameters are therefore
+A rig's `direction_sd` is a normal prior for the rotations e of the lights, two for each light. The
+joint covariance of lights measured on balls adds the logarithm of the intensity and, for a light
+nearby, the distance to the errors e of each light. In units of standard deviations, the residuals r
+of the images change by S e to first order. The most likely errors for given parameters are
+therefore
 
     e = K^-1 S^T r,    K = P^-1 + S^T S,
 
-where P is the prior covariance of all rotations. P is the identity, or the joint covariance of
-lights that were measured on one ball and share the error of its outline. Let J be the derivatives
+where P is the prior covariance of all errors. P is the identity, or the joint covariance of lights
+that were measured on one ball and share the error of its outline. Let J be the derivatives
 of the predictions with respect to the parameters, and I the information about the parameters for
 known directions. After marginalising over the rotations, the information about the parameters is
 
@@ -74,40 +76,64 @@ ENOUGH = 20_000  # samples that determine the lights nearly as well as all sampl
 ROUNDING = 1e-9
 CHANCE = 0.05  # probability of a false finding of larger errors
 
-Turns = Float[np.ndarray, "lights 2"]  # in units of `direction_sd` unless stated
-Shifts = Float[np.ndarray, "2 samples"]  # DN
+# two rotations, the logarithm of the intensity and the relative distance, or the first two or three
+# of these, in units of their standard deviations unless stated
+Turns = Float[np.ndarray, "lights errors"]
+Shifts = Float[np.ndarray, "errors samples"]  # DN
 Prior = Float[np.ndarray, "turns turns"]  # P, in these units; None where it is 1
 
 
 # ---------------------------------------------------------------- directions
 
 
-def rotate_lights(observation: Photographs, angles_across: Turns) -> Photographs:
-    """Rotate lights by (lights, 2) rad about two axes perpendicular to each."""
-    moved = observation.wi + np.einsum("la,lac->lc", angles_across, across(observation.wi))[:, None]
+def turn_sizes(observation: Photographs) -> Turns:
+    """Return the standard deviations of the errors of each light in `turn_prior`; without it, those
+    of two rotations, rad.
+    """
+    names = "direction_sd", "direction_sd", "intensity_sd", "distance_sd"
+    prior, lights = observation.turn_prior, len(observation.files)
+    kept = 2 if prior is None else len(prior) // lights
+    exact = np.zeros(lights)
+    return np.stack([observation.uncertain.get(name, exact) for name in names[:kept]], axis=1)
+
+
+def rotate_lights(observation: Photographs, turns: Turns) -> Photographs:
+    """Rotate the lights by two angles in rad, about axes perpendicular to each light's direction.
+    Change the logarithm of their intensity by a third number, and their relative distance by a
+    fourth, if there are any.
+    """
+    changes, aside = {}, np.einsum("la,lac->lc", turns[:, :2], across(observation.wi))[:, None]
+    moved = observation.wi + aside
+    if turns.shape[1] > 2:
+        changes["intensity"] = observation.intensity * np.exp(turns[:, 2])
+    if turns.shape[1] > 3:  # the rotated light, moved along its direction
+        distance = observation.falloff[..., None] ** -0.5
+        middle = observation.wi.mean(axis=1, keepdims=True)
+        middle = middle / np.linalg.norm(middle, axis=-1, keepdims=True)
+        step = (middle + aside) * np.exp(turns[:, 3, None, None]) - middle
+        moved = distance * observation.wi + distance.mean(axis=1, keepdims=True) * step
+        changes["falloff"] = np.sum(moved**2, axis=-1) ** -1.0
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     cosine, mirror = angles(observation.normals, moved)
-    return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror)
+    return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror, **changes)
 
 
 def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) -> Shifts:
-    """Return the change of each sample's prediction, (2, samples) DN, if the light of the sample
-    rotates by one standard deviation about each axis. The derivative is taken at the rotations
-    `turns`.
+    """Return the change of each sample's prediction, (errors, samples) DN, by each error of its
+    light of one standard deviation. The derivative is taken at the errors `turns`.
     """
+    units = np.eye(turns.shape[1])
 
-    def predict_turned(axis: int, step: float) -> np.ndarray:
-        moved = _about(view, turns + step * np.eye(2)[axis], samples.form)
+    def predict_turned(step: np.ndarray) -> np.ndarray:
+        moved = _about(view, turns + step, samples.form)
         return predict(vector, replace(moved, gamma=samples.gamma)).dn
 
-    moves = [predict_turned(axis, STEP) - predict_turned(axis, -STEP) for axis in (0, 1)]
+    moves = [predict_turned(STEP * unit) - predict_turned(-STEP * unit) for unit in units]
     return np.stack(moves) / (2 * STEP)
 
 
 def _about(view: View, turns: Turns, form: Form) -> Samples:
-    seen = rotate_lights(
-        view.observation, turns * view.observation.uncertain["direction_sd"][:, None]
-    )
+    seen = rotate_lights(view.observation, turns * turn_sizes(view.observation))
     return replace(view, observation=seen).samples(form)
 
 
@@ -119,10 +145,10 @@ def likeliest_turns(
     selection: Selection,
     prior: Prior | None,
 ) -> Turns:
-    """Return the most likely rotations of the lights' directions, (lights, 2), for the parameters
-    that are best for these rotations. The prediction is linearised about the rotations `turns` and
-    the parameters. (With fixed parameters, the alternation would stop far from the optimum where
-    parameters and rotations change the prediction in the same way.)
+    """Return the most likely errors of the lights, (lights, errors), for the parameters that are
+    best for these errors. The prediction is linearised about the errors `turns` and the parameters.
+    (With fixed parameters, the alternation would stop far from the optimum where parameters and
+    errors change the prediction alike.)
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
     left = (samples.dn - prediction.dn) * inverse_deviation(samples)
@@ -135,7 +161,7 @@ def likeliest_turns(
     both = np.swapaxes(both, 1, 2).reshape(len(slopes), -1)  # J^T S
     taken = both.T @ np.linalg.pinv(slopes @ slopes.T, hermitian=True)
     pulls = pulls.ravel() - taken @ (slopes @ left)
-    return np.linalg.solve(own + information - taken @ both, pulls).reshape(-1, 2)
+    return np.linalg.solve(own + information - taken @ both, pulls).reshape(turns.shape)
 
 
 def information_on_turns(
@@ -162,13 +188,13 @@ def marginalise_directions(
     """
     moves, light = shifts * inverse_deviation(samples), selection.light
     information = information_on_turns(shifts, samples, selection, lights)
-    root = np.eye(2 * lights) if prior is None else np.linalg.cholesky(prior)
+    root = np.eye(len(information)) if prior is None else np.linalg.cholesky(prior)
     squares, axes = np.linalg.eigh(root.T @ information @ root)
     squares, axes = np.maximum(squares, LEAST_INFORMATION), root @ axes
     taken = (1 - 1 / np.sqrt(1 + squares)) / squares
     pulls = np.array([[np.bincount(light, row * m, lights) for m in moves] for row in values])
     pulls = np.swapaxes(pulls, 1, 2).reshape(len(values), -1)
-    back = ((pulls @ axes) * taken @ axes.T).reshape(len(values), lights, 2)
+    back = ((pulls @ axes) * taken @ axes.T).reshape(len(values), lights, -1)
     return values - np.einsum("as,rsa->rs", moves, back[:, light])
 
 
@@ -201,11 +227,12 @@ def fit_rotations(
     """
     observation = view.observation
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
-    seen = 2 * int(np.count_nonzero(known))
+    errors = turn_sizes(observation).shape[1]
+    seen = errors * int(np.count_nonzero(known))
     most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
     root = np.eye(seen)
     if observation.turn_prior is not None:
-        both = np.repeat(known, 2)
+        both = np.repeat(known, errors)
         root = np.linalg.cholesky(observation.turn_prior[np.ix_(both, both)])
 
     def size(turns: np.ndarray) -> float:
@@ -222,9 +249,11 @@ def fit_rotations(
 
 
 def widen_directions(observation: Photographs, factor: float) -> Photographs:
-    """Return the photographs with `direction_sd` multiplied by a factor."""
-    sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
-    return replace(observation, uncertain=sizes)
+    """Return the photographs with the sizes of `turn_sizes` multiplied by a factor."""
+    kept = turn_sizes(observation).shape[1] - 1
+    names = ("direction_sd", "intensity_sd", "distance_sd")[:kept]
+    wider = {name: factor * observation.uncertain[name] for name in names}
+    return replace(observation, uncertain=observation.uncertain | wider)
 
 
 def _consistent_turns(
@@ -234,7 +263,7 @@ def _consistent_turns(
     neither changes, and return both. With many samples, a subset is used until no light moves, and
     then all samples in two more iterations. The iteration stops if lights move too far.
     """
-    found, turns = nominal, np.zeros((len(known), 2))
+    found, turns = nominal, np.zeros_like(turn_sizes(view.observation))
     step, prior = max(1, len(view.selection.light) // ENOUGH), view.observation.turn_prior
     stages = [(view, MOST_TURNS)]
     if step > 1:
@@ -276,6 +305,9 @@ class StatedErrors:
     # derivatives of the predictions, in standard deviations, after marginalising over the light
     # directions; None if these are not fitted
     slopes: Float[np.ndarray, "parameters samples"] | None = None
+    # gradients of the log likelihood after marginalising; None if lights are independent, because
+    # the sums over the samples of a light are then those without marginalising
+    scores: Float[np.ndarray, "parameters samples"] | None = None
     # errors that the rig states and that are too small to matter
     left_out: tuple[LeftOut, ...] = ()
 
@@ -294,7 +326,7 @@ def stated_errors(
     view: View, prediction: Prediction, samples: Samples, turns: Turns | None
 ) -> StatedErrors:
     """Return the vectors p (see the module docstring) of all stated errors that are not negligible.
-    `turns` are the rotations (lights, 2) of the samples' lights, if rotations were fitted.
+    `turns` are the errors (lights, errors) of the samples' lights, if these were fitted.
     """
     observation, light, lights = view.observation, view.selection.light, view.lights
     sizes, count = observation.uncertain, len(prediction.vector)
@@ -307,9 +339,11 @@ def stated_errors(
     relative = prediction.slope * prediction.signal
     stray = prediction.slope * np.asarray(samples.geometry.irradiance)
     along = {"intensity_sd": relative, "exposure_sd": relative, "stray_sd": stray}
+    if turn_sizes(observation).shape[1] > 2:
+        del along["intensity_sd"]  # one of the turns
     own = {n: (sizes[n][light] * s)[None] for n, s in along.items() if np.any(sizes.get(n, 0))}
     if np.any(sizes.get("direction_sd", 0)):
-        about = np.zeros((lights, 2)) if turns is None else turns
+        about = np.zeros_like(turn_sizes(observation)) if turns is None else turns
         own["direction_sd"] = shifts_of_turns(view, about, prediction.vector, samples)
     shared = {}
     glow = light_in_shadows(observation, view.channel)
@@ -344,7 +378,12 @@ def stated_errors(
             values, turnable, samples, view.selection, lights, prior=prior
         )
 
-    slopes = marginalise_turns(scores_and_slopes(prediction, samples)[1])
+    gradients, slopes = scores_and_slopes(prediction, samples)
+    slopes, scores = marginalise_turns(slopes), None
+    if turnable is not None and turns is not None and observation.turn_prior is not None:
+        weight = inverse_deviation(samples)
+        left = (samples.dn - prediction.dn) + np.einsum("as,sa->s", turnable, turns[light])
+        scores = np.where(weight > 0, slopes * marginalise_turns((left * weight)[None]), gradients)
     of_lights = [
         np.stack([sum_by_light(row * shift) for row in slopes], axis=1)
         for shifts in own.values()
@@ -359,6 +398,7 @@ def stated_errors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(common).reshape(-1, count),
         None if turnable is None else slopes,
+        scores,
         tuple(error for error in gone if error.size != 0),  # 0: light in shadows, not stated
     )
 

@@ -79,6 +79,7 @@ DARK_ERRORS = 4.0  # standard errors of an image's median within which it is at 
 DARK_SHARE = 0.05  # share of the predicted signal below which an image is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
 SAME_LIGHT = 1e-3  # difference of a position up to which two files have the same light
+SAME_SD = 1e-2  # relative difference of two standard deviations that are one number as printed
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
 FEWEST_AT_TOP = 20  # fewest samples at the largest number that may be clipped
 PILE, BELOW_TOP = 5, 8  # ratio to the counts at each of the next smaller numbers; how many of these
@@ -132,8 +133,10 @@ class Photographs:
         findings: sentences on assumptions.
         uncertain: (lights,) standard deviations, by their key in the rig; 0 where the value is
             exact.
-        turn_prior: (rotations, rotations) prior covariance of the rotations of all light
-            directions, two per light, in units of `direction_sd`; None for independent lights.
+        turn_prior: prior covariance of the errors of all lights in units of their standard
+            deviations; None for independent lights. The errors of a light are two rotations of its
+            direction, the logarithm of its intensity unless exact, and its relative distance if
+            near.
         black_sd: DN, standard deviation of the black level; 0 where exact.
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
         levels: statistics of the flats and darks of each channel; None if there are none or they
@@ -303,12 +306,14 @@ def read_reflectance_observation(
     )
     _refuse_unusable(rig, observation)
     if rig.covariance is not None:
-        return set_direction_covariance(observation, _covariance_of(rig))
+        return set_light_covariance(observation, *_covariance_of(rig))
     return observation
 
 
-def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
-    """Return the covariance of the light directions, from the file that the rig names."""
+def _covariance_of(rig: Rig) -> tuple[Float[np.ndarray, "lights 4 lights 4"], bool]:
+    """Return the covariance of the lights, and whether they are near, from the file that the rig
+    names. An `intensity_sd` of the rig that differs from that of the file replaces it.
+    """
     assert rig.covariance is not None
     known = read_lights(rig.folder / rig.covariance)
     scale = np.linalg.norm(known.places, axis=1)
@@ -325,45 +330,76 @@ def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
                 f"{'position' if known.near else 'direction'} as in that file, or remove "
                 "covariance."
             )
-    across = known.covariance[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
-    return across[order][:, :, order]
+    covariance = known.covariance[order][:, :, order]
+    sds = known.intensity_sd[order]
+    for i, light in enumerate(rig.light):
+        stated = light.intensity_sd
+        if stated is not None and abs(stated - sds[i]) > SAME_SD * stated:
+            covariance = set_intensity_sd(covariance, i, stated)
+    return covariance, known.near
 
 
-def set_direction_covariance(
-    observation: Photographs, covariance: Float[np.ndarray, "lights 3 lights 3"]
+def set_intensity_sd(
+    covariance: Float[np.ndarray, "lights 4 lights 4"], light: int, sd: float
+) -> Float[np.ndarray, "lights 4 lights 4"]:
+    """Return a covariance of lights in which the intensity of one has an independent error."""
+    covariance = covariance.copy()
+    covariance[light, 3], covariance[..., light, 3] = 0, 0
+    covariance[light, 3, light, 3] = sd**2
+    return covariance
+
+
+def set_light_covariance(
+    observation: Photographs,
+    covariance: Float[np.ndarray, "lights 4 lights 4"],
+    near: bool,
 ) -> Photographs:
-    """Return the photographs with uncertain light directions, whose components have the given joint
-    covariance.
+    """Return the photographs with uncertain lights. `covariance` is the joint covariance of the
+    lights' directions, or positions in m, and of the logarithms of their intensities.
     """
-    axes = across(observation.wi)
-    both = np.einsum("lai,limj,mbj->lamb", axes, covariance, axes)
-    sizes = np.sqrt(np.einsum("lala->l", both) / 2)
-    lights = len(sizes)
-    scale = np.repeat(np.maximum(sizes, 1e-12), 2)
-    prior = both.reshape(2 * lights, 2 * lights) / np.outer(scale, scale)
-    return replace(
-        observation,
-        uncertain=observation.uncertain | {"direction_sd": sizes},
-        turn_prior=prior + 1e-9 * np.eye(2 * lights),
-    )
+    lights, middle = len(covariance), observation.wi.mean(axis=1)
+    distance = np.ones(lights)
+    if near:
+        distance = np.mean(observation.falloff**-0.5, axis=1)
+    along = np.zeros((lights, 4, 4))  # of the errors by each number of the covariance
+    along[:, :2, :3] = across(observation.wi) / distance[:, None, None]
+    along[:, 2, 3] = 1
+    along[:, 3, :3] = near * _unit(middle) / distance[:, None]
+    both = np.einsum("lai,limj,mbj->lamb", along, covariance, along)
+    own = np.sqrt(np.maximum(np.einsum("lala->la", both), 0))
+    sizes = {
+        "direction_sd": np.sqrt(np.mean(own[:, :2] ** 2, axis=1)),
+        "intensity_sd": own[:, 2],
+        "distance_sd": own[:, 3],
+    }
+    kept = 4 if near else 3 if own[:, 2].any() else 2
+    found = replace(observation, uncertain=observation.uncertain | sizes)
+    scale = np.maximum(np.stack([own[:, 0], *sizes.values()], axis=1)[:, :kept], 1e-12)
+    scale[:, 0] = scale[:, 1]
+    prior = both[:, :kept, :, :kept].reshape(kept * lights, -1)
+    prior = prior / np.outer(scale, scale) + 1e-9 * np.eye(kept * lights)
+    return replace(found, turn_prior=prior)
 
 
 def turn_prior_of(
     observation: Photographs, lights: Bool[np.ndarray, " lights"] | Int[np.ndarray, " some"]
 ) -> Float[np.ndarray, "turns turns"] | None:
-    """Return the joint covariance of the rotations of some lights; None if lights are
-    independent."""
+    """Return the joint covariance of the errors of some lights; None if lights are independent."""
     if observation.turn_prior is None:
         return None
-    count = len(observation.files)
-    places = np.arange(2 * count).reshape(count, 2)[lights].ravel()
+    places = np.arange(len(observation.turn_prior)).reshape(len(observation.files), -1)
+    places = places[lights].ravel()
     return observation.turn_prior[np.ix_(places, places)]
+
+
+def _unit(vectors: Float[np.ndarray, "lights 3"]) -> Float[np.ndarray, "lights 3"]:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def across(wi: Float[np.ndarray, "lights pixels 3"]) -> Float[np.ndarray, "lights 2 3"]:
     """Return two unit axes perpendicular to each light direction, about which it may rotate."""
-    middle = wi.mean(axis=1)
-    frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
+    middle: Any = _unit(wi.mean(axis=1))
+    frame = local_frame(as_vec(middle))
     return np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
 
 
@@ -858,7 +894,8 @@ def from_photographs(
         intensity_sd: relative standard deviation of the intensities.
         direction_sd: standard deviation of the directions, rad along each of two axes perpendicular
             to them. Or the covariance of all lights together, (lights, 4, lights, 4), as
-            `fitting.lights.calibrate` returns it; for intensities, `intensity_sd` is used.
+            `fitting.lights.calibrate` returns it. It includes the errors of intensities, unless
+            `intensity_sd` is given.
         exposure_sd: relative standard deviation of the images' exposures.
         stray_sd: rms of stray light on all pixels, relative to the irradiance.
         held_out: indices of the lights that are used only to test predictions. If none is given,
@@ -926,9 +963,9 @@ def from_photographs(
     found = read_joint_measurement(rig, load=load, channel=channel)
     if together is None:
         return found
-    scale = np.linalg.norm(lights, axis=1)
-    components = together[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
-    return set_direction_covariance(found, components)
+    for i, sd in enumerate(sizes.get("intensity_sd", ())):
+        together = set_intensity_sd(together, i, sd)
+    return set_light_covariance(found, together, point_lights)
 
 
 def _one_per_image(
