@@ -415,8 +415,8 @@ def _shifted_in_words(
 
 
 def _clipped_in_words(name: str, readings: np.ndarray) -> list[str]:
-    """Return a sentence if several readings equal the largest one, as clipped readings do (NaN
-    excludes them); whole numbers may be equal by chance."""
+    """Return a sentence if several readings equal the largest one, as clipped readings do. Whole
+    numbers may be equal by chance, so one more must be equal. Readings of NaN are ignored."""
     count = int(np.sum(readings == readings.max(initial=-np.inf)))
     whole = np.array_equal(readings, np.round(readings))
     if count < _FEWEST_EQUAL + whole or not readings.max() > 0:

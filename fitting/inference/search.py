@@ -13,8 +13,8 @@ covariance and to test Laplace's approximation.
 
 The table compares five methods. It states how many of 100 searches, each from its own start within
 the bounds, reached the best optimum. The three problems, with 5 unknowns each, are a Phong ball,
-two exponential decays and a peak with unknown noise, whose likelihood is not a sum of squares. Each
-search was compiled as a whole:
+two exponential decays and a peak with unknown noise, whose likelihood is not a sum of squares. For
+this comparison each search by JAX was one compiled program:
 
                         ball    decays    peak    CPU seconds, ball (first, again)
     Levenberg-Marquardt  62       58        -        31,  10

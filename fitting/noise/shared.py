@@ -8,8 +8,9 @@ of h rows and w columns, the temporal variance of a row's mean about the frame's
 times (h - 1) / h, with sigma^2 the temporal variance of a pixel and sigma_row^2 the part that all
 pixels of its row share. The same holds for columns. Shared noise is part of sigma^2, and so of the
 read noise, but is not independent between pixels. Therefore the sampling variance of sigma^2 cannot
-fall below a multiple of sigma_row^4 / h, however many columns a frame has. Fixed differences
-between rows or columns affect the means of the average frame in the same way.
+fall below a multiple of sigma_row^4 / h, however many columns a frame has. The same
+formula holds for fixed differences between rows or columns, with the spatial variances of the
+average frame in place of the temporal variances.
 """
 
 from dataclasses import dataclass

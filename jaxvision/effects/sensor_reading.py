@@ -255,9 +255,10 @@ def _negative_rms(pixel: Pixel, offset: float) -> float:
 
 
 def _gaussian_excess(rms: float, level: float) -> float:
-    """Return a bound on the root mean square of the part of a Gaussian above a level, sqrt((1 +
-    z^2) Q(z) - z phi(z)) rms where z = level / rms, Q is the Gaussian tail probability and phi the
-    Gaussian density. The bound uses E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
+    """Return an upper bound on the root mean square of the excess max(x - level, 0) of a Gaussian x
+    with mean 0 and standard deviation `rms`. The exact value is rms sqrt((1 + z^2) Q(z) - z
+    phi(z)), where z = level / rms, and Q and phi are the tail probability and the density of a
+    standard Gaussian. For z >= 0 the bound is rms sqrt(exp(-z^2 / 2) / 2)."""
     if rms == 0:
         return max(-level, 0.0)
     z = level / rms

@@ -441,7 +441,8 @@ def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
 
 
 def _unpack(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
-    """Return (distance in m, position in its chunk) from a result of `_first_of`."""
+    """Return the distance of the nearest shape, m, and its position in the chunk, from the integer
+    that `_first_of` returns."""
     floats = jnp.float64 if key.dtype.itemsize == 8 else jnp.float32
     place = (key & (_CHUNK - 1)).astype(jnp.int32)
     return jax.lax.bitcast_convert_type(key & -_CHUNK, floats), place

@@ -211,8 +211,8 @@ def _disc_in_rectangle_jvp(primals, tangents):
 def _arc(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar], Scalar]:
-    """Return the highest and the lowest point of the circle inside a rectangle, and the angle, rad,
-    between them."""
+    """Return the upper and the lower end of the arc that a circle about 0 has inside a rectangle,
+    and the angle of the arc at the centre, rad."""
 
     def reach(place: Scalar) -> Scalar:
         return safe_sqrt((radius - place) * (radius + place))

@@ -39,6 +39,7 @@ OTHER = words("""
 *.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count
 *.beyond_chance.count *.SharedFit.posterior *.starts_about.* *.SamplingOptions.* *.NutsOptions.*
 *.Misfit.count *.Stream.count *.Ends.count *.fit_side_by_side.starts
+*.infinite_finding.count *.regressions.least_squares.terms
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
 *.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior
 *.search_findings.posterior *.posterior_findings.posterior *.chain_failures.posterior

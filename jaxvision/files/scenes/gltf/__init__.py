@@ -119,7 +119,8 @@ def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
 
 
 def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
-    """Convert a camera at the position of its node. The camera looks along -z, with y up."""
+    """Convert a camera of glTF, placed and rotated by its node, to keys of a scene file. The camera
+    looks along -z, with y up."""
     if np.linalg.det(to_world[:3, :3]) <= 0:
         raise InputError(f"{label}: mirrors or flattens its camera; correct its scale.")
     position = to_world[:3, 3]
