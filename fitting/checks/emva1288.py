@@ -51,7 +51,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Simulate and compute one sheet; return the cumulative probability of each true value."""
+    """Simulate and compute one sheet. Return the cumulative probability of each true value."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)

@@ -60,7 +60,7 @@ def photographed(lab: Lab, seed: int) -> Photographs:
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:
-    """Simulate and fit once; return the cumulative probability of each true value."""
+    """Simulate and fit once. Return the cumulative probability of each true value."""
     found = calibrate(photographed(lab, seed), fit_gamma=lab.gamma != 1, seed=seed)
     if not found.posteriors:
         raise InputError("the data leave a parameter open.")

@@ -75,7 +75,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Simulate and fit once; return the cumulative probability of each true value."""
+    """Simulate and fit once. Return the cumulative probability of each true value."""
     posterior = calibrate(measured(camera, seed)).posterior
     found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):
@@ -84,7 +84,7 @@ def places(camera: Camera, seed: int) -> np.ndarray:
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Simulate one camera's flats and darks, with all its noise; return statistics."""
+    """Simulate one camera's flats and darks, with all its noise. Return statistics."""
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest
     exposures = np.linspace(0.001, 0.02, camera.levels)

@@ -175,7 +175,7 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:
-    """Simulate and fit once; return the cumulative probability of each true value."""
+    """Simulate and fit once. Return the cumulative probability of each true value."""
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
     view = View(replace(observation, dn=dn), 0, chosen)

@@ -68,7 +68,7 @@ CASES = {
 
 
 def places(stack: Stack, seed: int) -> np.ndarray:
-    """Simulate and fit once; return the cumulative probability of each true value."""
+    """Simulate and fit once. Return the cumulative probability of each true value."""
     images = photographs(stack, seed)
     camera = Camera(
         bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0

@@ -37,7 +37,7 @@ from ..inference.parameters import (
     to_natural,
     to_unconstrained,
 )
-from ..reflectance.from_images.lights import SETTLED, WIDEST, rotate_lights
+from ..reflectance.from_images.lights import SETTLED, WIDEST, shift_lights
 from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import Photographs, turn_prior_of
 from ..reflectance.from_images.samples import Selection, View, average, cells_of, select
@@ -371,7 +371,7 @@ def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
         turns = found[0]
         across = np.zeros((len(observation.held_out), 2))
         across[fit.grid.lights] = turns.T
-        fit = fit_channel(rotate_lights(observation, across), channel, form, about=turns)
+        fit = fit_channel(shift_lights(observation, across), channel, form, about=turns)
     return fit
 
 

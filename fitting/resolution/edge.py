@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REACH = 16.0  # pixels on both sides of the edge from which the free MTF is measured
-LEAST_DIFFRACTION = 0.02  # pixels
+_LEAST_DIFFRACTION = 0.02  # pixels
 _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
 _NOT_TAKEN = "more starts", "other start", "Censored("  # advice of `fit` for its own arguments
 _ONE_VALUE = 0.2  # share of pixels with one value on a side without noise
@@ -260,10 +260,10 @@ def from_edge(
         1.8
     """
     picture = select_band(plain_array("from_edge: image", image), sensor, band)
-    if diffraction is not None and not LEAST_DIFFRACTION <= diffraction < np.inf:
+    if diffraction is not None and not _LEAST_DIFFRACTION <= diffraction < np.inf:
         raise InputError(
             f"from_edge: diffraction is {diffraction!r}; give wavelength times f-number over the "
-            f"pixel pitch, or leave it out where it is below {LEAST_DIFFRACTION}."
+            f"pixel pitch, or leave it out where it is below {_LEAST_DIFFRACTION}."
         )
     if not reach >= LEAST_PIXELS:
         raise InputError(f"from_edge: reach is {reach!r} pixels; give at least {LEAST_PIXELS}.")

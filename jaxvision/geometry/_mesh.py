@@ -14,7 +14,7 @@ from ..programs import targets_cpu
 from ..scene import TriangleMesh
 from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
-from ._unknown import unknown_without_ray
+from ._unknown import unknown_hit
 from .rays import Hit, Ray
 
 # Largest number of triangles for which a CPU tests each triangle faster than Embree searches its
@@ -50,7 +50,7 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
         The hit; a miss has distance inf.
     """
     _, primitive = mesh_nearest(*jax.lax.stop_gradient((ray, mesh)))
-    return unknown_without_ray(triangle_hit(ray, mesh, primitive), ray)
+    return unknown_hit(triangle_hit(ray, mesh, primitive), ray)
 
 
 def _search(mesh: TriangleMesh) -> bool:

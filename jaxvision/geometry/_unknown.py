@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from .rays import Hit, Ray
 
 
-def unknown_without_ray(hit: Hit, ray: Ray, *of_shapes: Float[Array, "..."]) -> Hit:
+def unknown_hit(hit: Hit, ray: Ray, *of_shapes: Float[Array, "..."]) -> Hit:
     """Return the hit, of which every number is NaN if the ray has one that is NaN or infinite, or
     if one of the shapes' numbers is NaN."""
     lost = ~jnp.isfinite(sum(jax.tree.leaves(ray)))

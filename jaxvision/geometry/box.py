@@ -14,7 +14,7 @@ from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Box
 from ._size import size_of
-from ._unknown import unknown_without_ray
+from ._unknown import unknown_hit
 from .rays import Hit, Ray
 
 
@@ -121,7 +121,7 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
         The hit; a miss has distance inf.
     """
     hit = box_hit(ray, box, materialise)
-    return unknown_without_ray(hit, ray, *jax.tree.leaves(box))
+    return unknown_hit(hit, ray, *jax.tree.leaves(box))
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:

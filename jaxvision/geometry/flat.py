@@ -21,7 +21,7 @@ from ..core._types import Scalar
 from ..core._vector import Vec, Vector, as_vec, masked
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
-from ._unknown import unknown_without_ray
+from ._unknown import unknown_hit
 from .hemisphere import cross
 from .rays import Hit, Ray
 
@@ -74,7 +74,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
         2.5
     """
     hit = plane_hit(ray, plane, materialise)
-    return unknown_without_ray(hit, ray, *jax.tree.leaves(plane))
+    return unknown_hit(hit, ray, *jax.tree.leaves(plane))
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
@@ -99,7 +99,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
         inf
     """
     hit = disc_hit(ray, disc, materialise)
-    return unknown_without_ray(hit, ray, *jax.tree.leaves(disc))
+    return unknown_hit(hit, ray, *jax.tree.leaves(disc))
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
@@ -184,7 +184,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
     hit = quad_hit(ray, flat, meets, materialise)
-    return unknown_without_ray(hit, ray, *jax.tree.leaves(quad))
+    return unknown_hit(hit, ray, *jax.tree.leaves(quad))
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:

@@ -27,7 +27,7 @@ from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
-from ._unknown import unknown_without_ray
+from ._unknown import unknown_hit
 from .box import box_distance, box_hit, intersect_box
 from .checks import warn_of_shapes
 from .flat import (
@@ -232,7 +232,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
         triangle = -1 if encounter.primitive is None else encounter.primitive
         hit = triangle_hit(ray, mesh, jnp.where(among, triangle, -1))
         chosen = _choose(among, hit, chosen)
-    return unknown_without_ray(chosen, ray, *(() if ready.size is None else (ready.size,)))
+    return unknown_hit(chosen, ray, *(() if ready.size is None else (ready.size,)))
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:

@@ -17,7 +17,7 @@ from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
 from ..scene import Sphere
 from ._size import size_of
-from ._unknown import unknown_without_ray
+from ._unknown import unknown_hit
 from .rays import Hit, Ray
 
 
@@ -90,7 +90,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
     normal = outward * jnp.where(hit, 1 / jnp.sqrt(square), 0)
     on_sphere = as_vec(sphere.centre) + sphere.radius * normal
     met = Hit(distance, normal, where(hit, on_sphere, ray.origin), size_of(sphere))
-    return unknown_without_ray(met, ray, *jax.tree.leaves(sphere))
+    return unknown_hit(met, ray, *jax.tree.leaves(sphere))
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:

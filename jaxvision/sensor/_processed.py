@@ -3,7 +3,8 @@
 In every scene, noise increases the differences of neighbouring pixels. If the differences are
 smaller than the camera's noise implies, frames were averaged, binned, denoised or scaled. Likewise,
 the pattern of the dark and flat master frames must appear in the differences of raw pixels. Pixels
-two apart are compared, because they have the same colour in a mosaic.
+two apart are compared, because they have the same colour in a mosaic. Other functions recognise
+master frames of a scene, of fewer frames than stated, or of a mosaic that raw lacks.
 """
 
 import numpy as np

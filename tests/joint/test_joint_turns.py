@@ -7,7 +7,7 @@ from oracles.sphere_photographs import expose, light_directions, shade
 
 from fitting.joint import calibrate, from_photographs
 from fitting.joint.fit import likeliest_turns
-from fitting.reflectance.from_images.lights import rotate_lights
+from fitting.reflectance.from_images.lights import shift_lights
 from fitting.rig import Camera, SphereGeometry
 
 SIZE, RADIUS, LIGHT, GAIN, READ = 40, 18.0, 3000.0, 0.25, 6.0
@@ -70,6 +70,6 @@ def test_light_directions_wrong_by_a_degree_are_estimated_without_bias(seed):
     assert turns is not None
     across = np.zeros((12, 2))
     across[fit.grid.lights] = turns[0].T
-    seen = rotate_lights(measurement, across)
+    seen = shift_lights(measurement, across)
     cosine = np.sum(seen.wi[:11, 0] * actual[:11], axis=1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.1

@@ -37,7 +37,7 @@ from .lights import (
     add_stated_errors,
     fit_rotations,
     information_on_turns,
-    rotate_lights,
+    shift_lights,
     shifts_of_turns,
     stated_errors,
     turn_sizes,
@@ -232,7 +232,7 @@ def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
     """Return the photographs with the light directions that a fit estimated."""
     if fit.turned is None or not fit.turned.followed:
         return observation
-    return rotate_lights(observation, fit.turned.turns * turn_sizes(observation))
+    return shift_lights(observation, fit.turned.turns * turn_sizes(observation))
 
 
 def predicted_image(

@@ -97,7 +97,7 @@ def turn_sizes(observation: Photographs) -> Turns:
     return np.stack([observation.uncertain.get(name, exact) for name in names[:kept]], axis=1)
 
 
-def rotate_lights(observation: Photographs, turns: Turns) -> Photographs:
+def shift_lights(observation: Photographs, turns: Turns) -> Photographs:
     """Rotate the lights by two angles in rad, about axes perpendicular to each light's direction.
     Change the logarithm of their intensity by a third number, and their relative distance by a
     fourth, if there are any.
@@ -133,7 +133,7 @@ def shifts_of_turns(view: View, turns: Turns, vector: Vector, samples: Samples) 
 
 
 def _about(view: View, turns: Turns, form: Form) -> Samples:
-    seen = rotate_lights(view.observation, turns * turn_sizes(view.observation))
+    seen = shift_lights(view.observation, turns * turn_sizes(view.observation))
     return replace(view, observation=seen).samples(form)
 
 

@@ -14,9 +14,10 @@ from ..names import Model
 from .lights import Common, Counted, Images, OfPixels, Readings, Rows, Vectors, predicted
 from .misfit import shared_squares
 from .model import Surface
-from .readings import FEWEST, SHARED, SMALL, Limits, least_squares, used_readings
+from .readings import FEWEST, SHARED, Limits, least_squares, used_readings
 from .rough import Rough
 
+SMALL = 0.02  # of the albedo, or of the pixels: smaller departures are not reported
 SHOWN_BY = 32  # lights from which residuals reveal the effect of roughness on normals
 DARK = 3.0  # standard errors from 0 within which the mean of images shows no light
 

@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...inference.formatting import format_percent
+from .findings import SMALL
 from .interreflection import exchange_of, side_of_facets
 from .lights import Images, Rows, predicted, solved
-from .readings import SMALL
 from .result import Stereo
 
 SAME = 1e-3  # rad between lights of the same direction
